@@ -102,9 +102,8 @@ class TouchdownApp(QObject):
         self.workspaces[front]
         self.look.refit = self._refit
         self.look.dress(self.window)
-        self.pump = EventPump(
-            self, self._pull, hold=self._hushed, hidden=lambda: self.window.isMinimized()
-        )
+        self.pump = EventPump(self, self._pull, hold=self._hushed, hidden=self._unseen)
+        self.pump.calm = self._calm
         self._add_parts()
         self._stop_key = shell.StopKeyFilter(self, self.stop, self._moving)
         application.installEventFilter(self._stop_key)
@@ -371,6 +370,16 @@ class TouchdownApp(QObject):
 
     def _hushed(self) -> bool:
         return self.bench is not None and self.bench.repaint_hold.on
+
+    def _unseen(self) -> bool:
+        minimised = self.window.isMinimized()
+        if self.bench is not None:
+            self.bench.watched = not minimised
+        return minimised
+
+    def _calm(self) -> bool:
+        live = self.workspaces[self.window.front].live
+        return live is not None and live.calm()
 
     def _pull(self) -> bool:
         failure = self._box.take()

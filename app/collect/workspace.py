@@ -82,7 +82,6 @@ class CollectWorkspace(shell.Workspace):
     def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
         self.label = LabelWorkspace(context)
-        self.live: shell.LivePresenter | None = None
         self._bench: Session | None = None
         # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None

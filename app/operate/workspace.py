@@ -144,7 +144,6 @@ class OperateWorkspace(shell.Workspace):
 
     def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
-        self.live: shell.LivePresenter | None = None
         self.hand: ManualControlPresenter | None = None
         self.probe: SingleProbePresenter | None = None
         self._bench: Session | None = None

@@ -15,16 +15,16 @@ from touchdown.app.shell.activity import is_run_active
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS, WRENCH_CHANNELS, Finger, MarkerField, TactileFrame
 from touchdown.backend.devices import DeviceState
-from touchdown.backend.sensing import looks_still
+from touchdown.backend.sensing import has_moved
 from touchdown.widgets import base
 from touchdown.widgets.plots import TracePlot
 from touchdown.widgets.views import TactileView
 
 HEADER_PERIOD_S = 0.25
-# On an idle bench, markers that stand still and a wrench that changes by less than this share of
-# the shown range are redrawn every ``STILL_S``: they move by a pixel or two on the screen.
-STILL_SHARE, STILL_S = 0.03, 0.1
+# A wrench that changes by less than this share of the shown range moves by a pixel or two.
+STILL_SHARE = 0.03
 NEWEST = 16  # wrench samples whose mean is compared
+CALM_AFTER_S = 1.0  # time without motion
 
 
 class LivePresenter:
@@ -36,10 +36,12 @@ class LivePresenter:
         self._bench, self._views, self._now_s = bench, page, now_s
         self._fresh = {finger: base.Freshness() for finger in FINGERS}
         self._wrench_fresh = base.Freshness()
-        self._wrench_cursor, self._wrench_mean = 0, np.full(WRENCH_CHANNELS, np.nan)
+        self._wrench_cursor = 0
         self.paused = False  # traces are paused; new samples are shown on resume
-        self._headers_s = float("-inf")
-        self._shown: dict[Finger, MarkerField | None] = {}
+        self._at_rest, self._headers_s = False, float("-inf")
+        # Time, fields and wrench of the last motion
+        self._moved_s, self._rest_wrench = now_s(), np.full(WRENCH_CHANNELS, np.nan)
+        self._rest: dict[Finger, MarkerField | None] = {}
         self._frame_cursor = dict.fromkeys(FINGERS, 0)
         self.frames_shown = dict.fromkeys(FINGERS, 0)
         # Functions that draw the live views, a few ms each.
@@ -61,11 +63,13 @@ class LivePresenter:
             # Of two frames, one is late: show both, one tick apart.
             frame = frames[0] if len(frames) == 2 else frames[-1]
             self._frame_cursor[finger] = cursor - (len(frames) == 2)
-            field = self._field_of(finger, frame)
-            if not self._same(self._shown.get(finger), field, frame.t_s):
-                view.show_frame(frame, field)
-                self._shown[finger] = field
-                self.frames_shown[finger] += 1
+            if self._at_rest:
+                # Of pictures that look the same, the one that is tracked.
+                newest = self._bench.fields[finger].newest()
+                tracked = (one for one in frames if newest and one.t_s == newest.t_s)
+                frame = next(tracked, frame)
+            view.show_frame(frame, self._field_of(finger, frame))
+            self.frames_shown[finger] += 1
         view.show_age(fresh.judge(now_s), fresh.age_s(now_s), self._why_silent(finger))
 
     def _field_of(self, finger: Finger, frame: TactileFrame) -> MarkerField | None:
@@ -74,15 +78,22 @@ class LivePresenter:
         same = stream.between(frame.t_s, frame.t_s)
         return same[-1] if same else stream.newest()
 
-    def _same(self, was: MarkerField | None, now: MarkerField | None, t_s: float) -> bool:
-        """Return True if a picture of ``t_s`` looks like the one of ``was``, a moment before."""
-        recent = was is not None and 0.0 <= t_s - was.t_s < STILL_S
-        return recent and self._idle() and looks_still(was, now)
-
-    def _idle(self) -> bool:
-        """Return True if neither a run nor the operator moves the bench."""
-        hand = self._bench.hand
-        return not is_run_active(self._bench) and (hand is None or not hand.active)
+    def calm(self) -> bool:
+        """Return True if neither bench, markers nor wrench have moved for a while."""
+        bench, now_s = self._bench, self._now_s()
+        fields = {finger: bench.fields[finger].newest() for finger in FINGERS}
+        active = is_run_active(bench) or (bench.hand is not None and bench.hand.active)
+        moved = any(has_moved(self._rest.get(finger), fields[finger]) for finger in FINGERS)
+        newest = bench.wrench.since(bench.wrench.count - NEWEST).values
+        if len(newest):
+            mean, views = newest.mean(axis=0), self._views
+            limits = STILL_SHARE * np.repeat([views.force.limit, views.moment.limit], 3)
+            moved = moved or not (np.abs(mean - self._rest_wrench) <= limits).all()
+        if active or moved:
+            self._moved_s, self._rest = now_s, fields
+            self._rest_wrench = mean if len(newest) else self._rest_wrench
+        self._at_rest = now_s - self._moved_s >= CALM_AFTER_S
+        return self._at_rest
 
     def draw_wrench(self) -> None:
         """Update the traces."""
@@ -98,14 +109,8 @@ class LivePresenter:
     def _feed(self) -> None:
         samples = self._bench.wrench.since(self._wrench_cursor)
         if len(samples.t_s):
-            views, mean = self._views, samples.values[-NEWEST:].mean(axis=0)
-            limits = STILL_SHARE * np.repeat([views.force.limit, views.moment.limit], 3)
-            near = (np.abs(mean - self._wrench_mean) <= limits).all()
-            if near and 0.0 <= samples.t_s[-1] - samples.t_s[0] < STILL_S and self._idle():
-                return
-            self._wrench_mean = mean
-            views.force.add(samples.t_s, samples.values[:, :3])
-            views.moment.add(samples.t_s, samples.values[:, 3:])
+            self._views.force.add(samples.t_s, samples.values[:, :3])
+            self._views.moment.add(samples.t_s, samples.values[:, 3:])
         self._wrench_cursor = samples.cursor
 
     def show_span(self, span_s: float) -> None:
@@ -113,7 +118,6 @@ class LivePresenter:
         for plot in (self._views.force, self._views.moment):
             plot.show_span(span_s)
         self._wrench_cursor = 0
-        self._wrench_mean = np.full(WRENCH_CHANNELS, np.nan)
         self._feed()
 
     def draw_headers(self) -> None:

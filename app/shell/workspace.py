@@ -9,6 +9,7 @@ from typing import Protocol
 
 from PySide6.QtWidgets import QWidget
 
+from touchdown.app.shell.live import LivePresenter
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 from touchdown.widgets.base import Columns, Theme
@@ -71,6 +72,7 @@ class Workspace:
     nothing.
     """
 
+    live: LivePresenter | None = None  # of a page with live pictures, once there is a bench
     name: str  # one word, used in files
     title: str  # text in the rail
     key: str

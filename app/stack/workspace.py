@@ -61,7 +61,6 @@ class StackWorkspace(shell.Workspace):
 
     def __init__(self, context: shell.WorkspaceContext) -> None:
         self._context = context
-        self.live: shell.LivePresenter | None = None
         self.presenter: StackPresenter | None = None
         self.side: shell.BenchViewPresenter | None = None
         self.comparison: ComparisonPresenter | None = None

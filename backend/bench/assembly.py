@@ -315,6 +315,7 @@ def simulated_session(
             piece=catalogue.top(choice.piece),  # without a drawn centre of mass
             bottom="+".join(choice.bottoms),
             advance=bench.advance,
+            rests=bench.rests,
             scoring=SimulatedScoring(bench, method.policy.longest_step_mm, animate),
             estimator=estimate(bench) if estimate else models.of(choice, scene.piece),
             payload=gripper_payload(settings.wrist.payload_kg, settings.wrist.payload_com_mm),

@@ -55,6 +55,7 @@ class LiveView:
         self._frames = make_frames(self._facts, {}, (0, 0))
         self.events = EventQueue(MOST_EVENTS)
         self._leave = session.events.subscribe(self.events)
+        session.served = True
         self.skipped_s = 0.0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="live view", daemon=True)

@@ -98,10 +98,12 @@ from touchdown.backend.runs import (
     make_plan,
     payload_wrench,
 )
-from touchdown.backend.sensing import LiveSensing, RawStreams, WrenchDrift
+from touchdown.backend.sensing import STILL_S, LiveSensing, RawStreams, WrenchDrift
 
 LOSS_S = 1.5  # time to find all devices that were lost at once
 STEP_US = 20_000  # bench step, 20 ms: the delay of a cancel
+REST_US = 100_000  # step of a live simulation while nothing moves
+UNWATCHED_S = 0.5  # between two tracked pictures of still markers that nobody sees
 # Mode of recordings by the mode of the bench; anything else is a lab
 LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
 # Capacity: 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples
@@ -232,6 +234,10 @@ class Session:
         self._hand: ManualControl
         self._drift: DriftMonitor
         ended, still = self.engine.abandon, self._teller.tell_now
+        # Whether a window shows pictures, and whether a live view serves them
+        self.watched: bool = True
+        self.served: bool = False
+        self._owed_us = 0  # live time that the bench has not advanced yet
         self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
 
     # -- for the window and for scripts -----------------------------------------------------------
@@ -480,13 +486,14 @@ class Session:
 
     # -- time -------------------------------------------------------------------------------------
 
-    def advance(self) -> None:
+    def advance(self, step_us: int = STEP_US) -> None:
         """Advance the bench by one step and process the samples."""
         latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             self._hand.tick()
-            self._stage.advance(STEP_US)
-            scene.sensing.update(idle=not self.engine.busy and not self._hand.active)
+            self._stage.advance(step_us)
+            still_s = STILL_S if self.watched or self.served else UNWATCHED_S
+            scene.sensing.update(still_s if self._idle else 0.0)
             self._drift.update()
             self._supervision.check(self.clock_s())
         if not self.engine.busy:
@@ -516,7 +523,18 @@ class Session:
         self.engine.tick()
         if not self.engine.busy:
             self._recorder.close()
-        self.advance()
+        self._owed_us += STEP_US
+        step_us = STEP_US
+        if self._idle and self._scene is not None and self._stage.rests():
+            step_us = REST_US
+        while self._owed_us >= step_us:
+            self._owed_us -= step_us
+            self.advance(step_us)
+
+    @property
+    def _idle(self) -> bool:
+        """True if neither a run nor the operator moves the bench."""
+        return not self.engine.busy and (self._scene is None or not self._hand.active)
 
     # -- inside -----------------------------------------------------------------------------------
 

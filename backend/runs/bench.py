@@ -237,7 +237,8 @@ class SceneDevices(SceneFacts):
     """Unguarded devices of one scene, made by a kind of bench.
 
     ``devices`` has all five by name. ``advance`` moves the bench time by a number of microseconds.
-    ``payload`` (6,) is the calibrated weight below the wrist sensor, N and N·m.
+    ``payload`` (6,) is the calibrated weight below the wrist sensor, N and N·m. ``rests`` returns
+    True if the next samples can be predicted: only of a simulation.
     """
 
     clock: core.Clock
@@ -246,6 +247,7 @@ class SceneDevices(SceneFacts):
     gripper: Gripper
     advance: Callable[[int], None]
     payload: core.FloatArray
+    rests: Callable[[], bool] = lambda: False
 
 
 # Builds the devices of a scene on the streams of a session. Raises ``InputError`` for an unknown

@@ -17,6 +17,7 @@ from touchdown.backend.core import (
     Finger,
     FloatArray,
     MarkerField,
+    MarkerState,
     Recording,
     RefusedError,
     SampleStream,
@@ -35,8 +36,16 @@ def looks_still(was: MarkerField | None, now: MarkerField | None) -> bool:
     """Return True if all markers of two fields were tracked and stand at the same places."""
     if was is None or now is None or not was.quality * now.quality > 0.0:
         return False
-    moved_px = np.abs(now.position_px - was.position_px).max()
-    return bool((now.state == was.state).all() and moved_px <= STILL_PX)
+    return bool((now.state == was.state).all()) and not has_moved(was, now)
+
+
+def has_moved(was: MarkerField | None, now: MarkerField | None) -> bool:
+    """Return True if a marker seen in both fields moved; markers that come and go did not."""
+    if was is None or now is None:
+        return was is not now
+    both = (was.state == MarkerState.SEEN) & (now.state == MarkerState.SEEN)
+    moved_px = np.abs(now.position_px - was.position_px)[both]
+    return not (moved_px <= STILL_PX).all()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +94,10 @@ class LiveSensing:
         """Wrench that is subtracted from the raw samples."""
         return self._tare
 
-    def update(self, *, idle: bool = False) -> None:
+    def update(self, still_s: float = 0.0) -> None:
         """Process all samples and frames since the last call.
 
-        On an ``idle`` bench, markers that stand still are tracked every ``STILL_S`` only.
+        Markers that stand still are tracked every ``still_s`` only, on an idle bench.
         """
         for finger in FINGERS:
             frames, cursor, _ = self.raw.frames[finger].since(self._frame_cursor[finger])
@@ -96,8 +105,8 @@ class LiveSensing:
             for frame in frames:
                 last = self.fields[finger].newest()
                 # The check for damage compares each JPEG with the one before.
-                still = idle and self._still[finger] and not frame.from_jpeg
-                if still and last is not None and 0.0 <= frame.t_s - last.t_s < STILL_S:
+                still = self._still[finger] and not frame.from_jpeg
+                if still and last is not None and 0.0 <= frame.t_s - last.t_s < still_s:
                     continue
                 field = self._trackers[finger].track(frame)
                 if field is not None:

@@ -68,6 +68,7 @@ def scroll_into_view(widget: QWidget) -> None:
 TURNS = 2
 PERIOD_MS = 32 // TURNS  # each view at slightly above 30 Hz; a late tick leaves 30 frames/s
 BUDGET_S = 0.008
+CALM_PERIOD_MS = 100 // TURNS  # while nothing moves: each view at 10 Hz
 HIDDEN_PERIOD_MS, HIDDEN_BUDGET_S = 100, 0.05  # of a minimised window, which draws nothing
 
 
@@ -76,8 +77,8 @@ class EventPump:
 
     ``pull`` handles one event and returns False if there was none. The time budget is checked after
     every event, so that a burst is spread over several ticks. A view that exceeds the budget is
-    drawn first at the next turn of its half. While ``hidden`` returns True nothing is drawn, and
-    events are handled every 100 ms.
+    drawn first at the next turn of its half. While ``calm`` returns True the period is 50 ms. While
+    ``hidden`` returns True nothing is drawn, and events are handled every 100 ms.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class EventPump:
         budget_s: float = BUDGET_S,
     ) -> None:
         self._pull, self._hold, self._hidden = pull, hold, hidden
+        self.calm: Callable[[], bool] = lambda: False
         self._now_s, self._budget_s = now_s, budget_s
         self._turns: tuple[deque[Callable[[], None]], ...] = tuple(deque() for _ in range(TURNS))
         self.ticks = 0
@@ -114,7 +116,7 @@ class EventPump:
         if self._hold():
             return
         hidden = self._hidden()
-        period_ms = HIDDEN_PERIOD_MS if hidden else PERIOD_MS
+        period_ms = HIDDEN_PERIOD_MS if hidden else CALM_PERIOD_MS if self.calm() else PERIOD_MS
         if self._timer.interval() != period_ms:
             self._timer.setInterval(period_ms)
         views = self._turns[self.ticks % TURNS]

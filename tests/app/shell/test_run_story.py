@@ -1,6 +1,7 @@
 """The Stack workspace shows what the facts say, and orders what the operator asks."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -332,38 +333,50 @@ def test_every_frame_of_a_run_is_drawn_once(live, bench):
 
 
 @pytest.mark.promise("W5")
-def test_on_an_idle_bench_still_pictures_are_shown_every_tenth_of_a_second(live, bench):
-    shown = live.workspaces["stack"].live
-    before = shown.frames_shown["left"]
-    for _ in range(30):
+@pytest.mark.parametrize("what", ["markers", "wrench", "run", "hand"])
+def test_a_bench_that_stands_still_is_drawn_less_often_until_something_moves(live, bench, what):
+    shown, clock = live.workspaces["stack"].live, [0.0]
+    shown._now_s, shown._moved_s = lambda: clock[0], 0.0
+
+    def calm_for(seconds):
+        for _ in range(round(seconds / 0.04)):
+            clock[0] += 0.04
+            bench.turn(0.04)
+            found = shown.calm()
+        return found
+
+    assert not calm_for(0.9)
+    assert calm_for(0.2)
+    bench.turn(0.04)
+    live.pump.tick()
+    assert live.pump._timer.interval() == 50
+    if what == "markers":
+        bench.press = 0.05  # the fastest marker moves by 0.35 px
+    elif what == "wrench":
+        values = np.tile([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], (40, 1))
+        bench.wrench.put(bench.clock_s() + 0.001 * np.arange(40), values)
+    elif what == "run":
+        bench.set_state(RunState.RUNNING)
+    else:
+        bench.hand = SimpleNamespace(active=True)
+    if what == "markers":
         bench.turn(0.04)
-        settle(live, 2)
-    assert shown.frames_shown["left"] == before + 10, "every third frame"
-    for _ in range(10):
-        bench.press += 0.1  # the fastest marker moves by 0.7 px, the slowest by 0.1 px
-        bench.turn(0.04)
-        settle(live, 2)
-    assert shown.frames_shown["left"] == before + 20, "every frame while something moves"
+    assert not shown.calm()
+    bench.set_state(RunState.IDLE)
+    bench.hand = None
+    assert not calm_for(0.9)
+    assert calm_for(0.3), "the new place is one of rest"
 
 
 @pytest.mark.promise("W5")
-@pytest.mark.parametrize("change", ["state", "quality"])
-def test_a_still_picture_with_other_markers_is_shown_at_once(live, bench, change):
-    shown, finger = live.workspaces["stack"].live, "left"
+def test_at_rest_the_tracked_picture_is_shown(live, bench):
+    shown, view = live.workspaces["stack"].live, live.workspaces["stack"].page.tactile["left"]
+    shown._at_rest = True
     bench.turn(0.12)
-    settle(live)
-    before = shown.frames_shown[finger]
-    bench.turn(0.04)
-    stream = bench.fields[finger]
-    field = stream.newest()
-    stream.clear()
-    changes = {
-        "state": {"state": np.where(np.arange(63) == 3, 2, field.state).astype(np.uint8)},
-        "quality": {"quality": 0.0},
-    }
-    stream.put(field.t_s, replace(field, **changes[change]))
-    settle(live, 2)
-    assert shown.frames_shown[finger] == before + 1
+    tracked = bench.frames["left"].newest()
+    bench.frames["left"].put(9.0, replace(tracked, t_s=9.0))
+    shown.draw_finger("left")
+    assert view._frame is tracked
 
 
 @pytest.mark.promise("W1")

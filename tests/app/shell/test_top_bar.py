@@ -21,7 +21,7 @@ from touchdown.app.shell.window import CHOICES, Appearance, system_theme
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import RefusedError, SampleStream
 from touchdown.backend.devices.sensor_faults import DegradedDevice
-from touchdown.backend.runs import LiveThread, ProbeRequest, RunState, RunStatus, SceneChoice
+from touchdown.backend.runs import LiveThread, ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme
 from touchdown.widgets.shell.top_bar import TopBar
 
@@ -270,29 +270,6 @@ def test_forces_and_moments_go_into_their_own_plots_axis_by_axis():
     assert (force.span_s, moment.span_s) == (30.0, 30.0)
     np.testing.assert_array_equal(force.values[1], values[:, :3])
     np.testing.assert_array_equal(moment.values[1], values[:, 3:])
-
-
-@pytest.mark.parametrize(
-    ("idle", "step_n", "drawn"),
-    [(True, 0.0, 9), (True, 0.5, 25), (False, 0.0, 50)],
-    ids=["still", "force", "run"],
-)
-def test_traces_of_an_idle_bench_follow_at_once_where_the_force_changes(idle, step_n, drawn):
-    wrench, rng = SampleStream("wrench", 6, 10_000), np.random.default_rng(5)
-    state = RunState.IDLE if idle else RunState.RUNNING
-    bench = SimpleNamespace(wrench=wrench, hand=None, status=lambda: RunStatus(state))
-    force, moment = NotedPlot(10.0), NotedPlot(0.2)
-    live = LivePresenter(bench, SimpleNamespace(force=force, moment=moment), lambda: 0.1)
-    level_n = 0.0
-    for turn in range(50):
-        level_n += step_n if turn >= 30 else 0.0
-        values = rng.normal(0.0, [0.1, 0.1, 0.1, 0.004, 0.004, 0.004], (20, 6))
-        values[:, 2] += level_n
-        wrench.put(0.02 * turn + 0.001 * np.arange(20), values)
-        live.draw_wrench()
-    assert len(force.t_s) == len(moment.t_s) == drawn
-    shown = np.concatenate(force.t_s)
-    np.testing.assert_array_equal(shown, wrench.since(0).t_s[: len(shown)], "nothing is left out")
 
 
 def test_stop_has_a_shorter_text_where_the_room_ends(qtbot):

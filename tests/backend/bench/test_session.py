@@ -20,10 +20,12 @@ from tests.backend.rig.scripted import scripted
 from touchdown.backend.bench import (
     LiveView,
     RunResult,
+    SimulatedBenchChoice,
     live_view,
     open_lab,
     serve_live,
     simulated_bench,
+    simulated_session,
 )
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.config.bench_description import describe_simulation
@@ -108,6 +110,50 @@ def test_every_picture_of_a_run_is_tracked_and_every_third_of_an_idle_bench():
         idle = bench.recording(end_s + 0.5, bench.clock_s())
     assert len(run.fields) == len(run.frames) > 200
     assert len(idle.fields) / len(idle.frames) == pytest.approx(1 / 3, abs=0.1)
+
+
+def advanced_us(bench, steps):
+    """Return the steps in which a live bench advances."""
+    taken, advance = [], bench.advance
+    bench.advance = lambda step_us: taken.append(step_us) or advance(step_us)
+    for _ in range(steps):
+        bench._live_step()
+    bench.advance = advance
+    return taken
+
+
+def test_a_live_simulation_at_rest_takes_longer_steps_until_something_moves():
+    with simulated_bench(preset="quiet") as bench:
+        assert advanced_us(bench, 2) == [20_000, 20_000], "no scene yet"
+        bench.run(SetRequest(SceneChoice(estimates=False)))
+        begun_s = bench.clock_s()
+        assert advanced_us(bench, 13) == [100_000, 100_000]
+        bench.hand.grip(10.0)
+        assert advanced_us(bench, 2) == [20_000] * 5, "the time owed is made up"
+        assert bench.clock_s() == pytest.approx(begun_s + 0.3)
+        advanced_us(bench, 50)
+        assert bench.hand.holding
+        assert advanced_us(bench, 5) == [20_000] * 5, "a held piece may be lost"
+    failing = simulated_session(SimulatedBenchChoice(disturbances=("force_torque:stop@9",)))
+    with failing as bench:
+        bench.prepare(SceneChoice())
+        assert advanced_us(bench, 5) == [20_000] * 5, "what fails is noticed in time"
+
+
+def test_pictures_that_nobody_watches_are_tracked_twice_a_second():
+    with simulated_bench(preset="quiet") as bench:
+        bench.run(SetRequest(SceneChoice(estimates=False)))
+        shares = []
+        for bench.watched, bench.served in ((True, False), (False, False), (False, True)):
+            for _ in range(50):
+                bench.advance()
+            begun_s = bench.clock_s()
+            for _ in range(100):
+                bench.advance()
+            new = bench.recording(begun_s, bench.clock_s())
+            shares.append(len(new.fields) / len(new.frames))
+            assert sum(frame.made for frame in new.frames) <= len(new.fields) + 1
+    assert shares == pytest.approx([1 / 3, 1 / 13, 1 / 3], abs=0.04)
 
 
 def test_a_cancelled_run_returns_what_it_has():

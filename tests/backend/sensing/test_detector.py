@@ -39,14 +39,16 @@ from touchdown.backend.core.values import FINGERS, MarkerField, MarkerState, Rec
 from touchdown.backend.devices.gelsight.emulator import small_dots
 from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.sensing import (
+    STILL_S,
     LiveSensing,
     RawStreams,
     assemble_episode,
-    looks_still,
+    has_moved,
     read_pictures,
 )
 from touchdown.backend.sensing.detector import Blobs, Detector, order_grid
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker, shifted_along_rows
+from touchdown.backend.sensing.live import looks_still
 from touchdown.backend.sensing.tracker import HiddenMarkers, nearest_dots
 
 LINE_FAST = np.concatenate([np.linspace(0, 30, 6), np.full(10, 30.0), np.linspace(30, 0, 6)])
@@ -378,7 +380,7 @@ def test_the_press_force_is_that_of_the_newest_samples_and_unknown_once_they_are
 def test_markers_that_stand_still_on_an_idle_bench_are_tracked_every_tenth_of_a_second() -> None:
     sensing, clock, (image, _) = live_sensing(), count(), rest_dots()
 
-    def tracked(*presses_px: float, idle: bool = True, from_jpeg: bool = False) -> list[int]:
+    def tracked(*presses_px: float, still_s: float = STILL_S, from_jpeg: bool = False) -> list[int]:
         """Return which of the pictures were tracked."""
         first = sensing.raw.frames["left"].count
         before = sensing.fields["left"].count
@@ -386,14 +388,15 @@ def test_markers_that_stand_still_on_an_idle_bench_are_tracked_every_tenth_of_a_
             shown = warp(image, bump_field, press_px)
             frame = TactileFrame("left", k, k / 25, shown, from_jpeg=from_jpeg)
             sensing.raw.frames["left"].put(k / 25, frame)
-            sensing.update(idle=idle)
+            sensing.update(still_s)
         return [f.sequence - first for f in sensing.fields["left"].since(before)[0]]
 
-    assert tracked(*[0.0] * 4, idle=False) == [0, 1, 2, 3]
+    assert tracked(*[0.0] * 4, still_s=0.0) == [0, 1, 2, 3]
     assert tracked(*[0.0] * 9) == [2, 5, 8]
     assert tracked(0.6, 1.2, 1.8, 2.4, 3.0, 3.6) == [2, 3, 4, 5], "motion is seen and followed"
     assert tracked(*[3.6] * 7) == [0, 3, 6]
-    assert tracked(*[3.6] * 4, idle=False) == [0, 1, 2, 3], "a run needs every picture"
+    assert tracked(*[3.6] * 26, still_s=0.5) == [12, 25], "nobody sees them"
+    assert tracked(*[3.6] * 4, still_s=0.0) == [0, 1, 2, 3], "a run needs every picture"
     assert tracked(*[3.6] * 4, from_jpeg=True) == [0, 1, 2, 3], (
         "damage is judged between neighbours"
     )
@@ -411,6 +414,22 @@ def test_markers_of_unknown_place_or_quality_do_not_stand_still() -> None:
     for bad in (replace(field, position_px=lost), replace(field, quality=np.nan), None):
         assert not looks_still(field, bad)
         assert not looks_still(bad, field)
+
+
+def test_a_marker_that_comes_or_goes_has_not_moved_and_one_that_is_seen_elsewhere_has() -> None:
+    sensing, (image, _) = live_sensing(), rest_dots()
+    sensing.raw.frames["left"].put(0.0, TactileFrame("left", 0, 0.0, image))
+    sensing.update()
+    field = sensing.fields["left"].newest()
+    assert field is not None
+    for by_px, state, moved in ((0.29, 0, False), (0.31, 0, True), (9.0, 1, False)):
+        place, states = field.position_px.copy(), field.state.copy()
+        place[5, 1] += by_px
+        states[5] = state
+        other = replace(field, position_px=place, state=states)
+        assert has_moved(field, other) == has_moved(other, field) == moved
+    assert has_moved(None, field)
+    assert not has_moved(None, None)
 
 
 def test_the_loop_refuses_a_later_reference_in_contact() -> None:

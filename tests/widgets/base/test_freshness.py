@@ -111,6 +111,22 @@ def test_nothing_is_drawn_and_nothing_lost_while_a_decision_is_due(qapp, clock):
     assert (drawn, len(facts)) == (["view"], 0)
 
 
+def test_a_calm_window_draws_each_view_ten_times_a_second_and_at_the_full_rate_afterwards(
+    qapp, clock
+):
+    owner, drawn, calm = QObject(), [], [True]
+    pump = EventPump(owner, lambda: False, now_s=clock)
+    pump.calm = lambda: calm[0]
+    for name in "ab":
+        pump.add(partial(drawn.append, name))
+    for _ in range(4):
+        pump.tick()
+    assert (drawn, pump._timer.interval()) == (["a", "b", "a", "b"], 50)
+    calm[0] = False
+    pump.tick()
+    assert pump._timer.interval() == 16
+
+
 def test_a_hidden_window_handles_events_and_draws_again_once_it_is_shown(qapp, clock):
     owner, drawn, facts, hidden = QObject(), [], deque(range(3)), [True]
 

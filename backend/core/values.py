@@ -124,6 +124,7 @@ class LazyFrame(TactileFrame):
     """A frame whose image is made by ``make`` when it is first read, by any thread."""
 
     __slots__ = ("_make", "made")
+    _make: Callable[[], ImageArray]
 
     def __init__(
         self, finger: Finger, sequence: int, t_s: float, make: Callable[[], ImageArray]
@@ -137,7 +138,7 @@ class LazyFrame(TactileFrame):
         """Make the image: an attribute is missing until it is set."""
         if name != "image":
             raise AttributeError(name)
-        image: ImageArray = self._make()
+        image = self._make()
         read_only(image)
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "made", True)

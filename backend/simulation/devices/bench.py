@@ -137,7 +137,8 @@ class SimulatedBench:
 
     def _deliver(self, sensed: CycleRecord, cycles: int) -> None:
         t_s = sensed.end_us * 1e-6
-        ends_s = 1e-6 * (sensed.end_us - self._world.cycle_us * np.arange(cycles)[::-1])
+        before_us = self._world.cycle_us * np.arange(cycles)[::-1]
+        ends_s = np.array(1e-6 * (sensed.end_us - before_us), dtype=np.float64)
         silent = self._script.active("arm", "silent", t_s)
         self.arm.deliver(ends_s, sensed.pose_mm, silent=silent)
         silent = self._script.active("gripper", "silent", t_s)

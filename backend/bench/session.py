@@ -486,8 +486,11 @@ class Session:
 
     # -- time -------------------------------------------------------------------------------------
 
-    def advance(self, step_us: int = STEP_US) -> None:
+    def advance(self) -> None:
         """Advance the bench by one step and process the samples."""
+        self._advance(STEP_US)
+
+    def _advance(self, step_us: int) -> None:
         latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             self._hand.tick()
@@ -529,7 +532,7 @@ class Session:
             step_us = REST_US
         while self._owed_us >= step_us:
             self._owed_us -= step_us
-            self.advance(step_us)
+            self._advance(step_us)
 
     @property
     def _idle(self) -> bool:

@@ -3,6 +3,7 @@ from .backend.bench import RunResult as RunResult
 from .backend.bench import Session as Session
 from .backend.bench import emulated_bench as emulated_bench
 from .backend.bench import open_lab as open_lab
+from .backend.bench import serve_live as serve_live
 from .backend.bench import simulated_bench as simulated_bench
 from .backend.config import SimulationSettings as SimulationSettings
 from .backend.config import StackSettings as StackSettings

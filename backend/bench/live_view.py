@@ -7,6 +7,7 @@ has a queue per client. All queues are bounded and nothing waits: what is late i
 from __future__ import annotations
 
 import ipaddress
+import logging
 import math
 import threading
 import time
@@ -40,6 +41,7 @@ MOST_S = 0.2  # of bench time in one period; earlier signals are left out
 MOST_EVENTS, BACKLOG = 256, 256  # events that wait, and messages that wait for one client
 CLOSE_S = 2.0
 Publish = Callable[[Topic, int, bytes], None]
+log = logging.getLogger("touchdown")
 
 
 class LiveView:
@@ -62,13 +64,16 @@ class LiveView:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, waiting for ``CLOSE_S`` at most."""
+        """End the thread, waiting for ``CLOSE_S`` at most, and log what was left out."""
         self._leave()
         self._closing.set()
         self._thread.join(CLOSE_S)
+        if self.events.dropped or self.skipped_s:
+            text = "The live view left out %d events and %.1f s of signals."
+            log.warning(text, self.events.dropped, self.skipped_s)
 
     def _serve(self) -> None:
-        shown_s = 0.0
+        shown_s = self._session.clock_s() - LAG_S
         while not self._closing.wait(PERIOD_S):
             end_s = self._session.clock_s() - LAG_S
             # The clock of a new scene starts at zero.
@@ -98,11 +103,32 @@ class LiveView:
             self._frames = make_frames(self._facts, dict(event.episode.metadata), (0, 0))
 
 
-def serve_live(session: Session, address: str) -> str:
-    """Serve ``session`` to Foxglove at ``address`` (HOST:PORT) until it is closed.
+def serve_live(session: Session, address: str = "127.0.0.1:8765") -> str:
+    """Serve a session to Foxglove until it is closed.
 
-    Returns a sentence with the address. Raises ``InputError`` without the Foxglove SDK, or if the
-    address cannot be used.
+    Parameters
+    ----------
+    session : Session
+        The bench whose signals and events are served.
+    address : str
+        HOST:PORT. Beyond the loopback interface everyone who reaches it can read.
+
+    Returns
+    -------
+    str
+        A sentence with the address, and with the risk beyond the loopback interface.
+
+    Raises
+    ------
+    InputError
+        Without the Foxglove SDK (extra ``live``), or if the address cannot be used.
+
+    Examples
+    --------
+    >>> with simulated_bench() as bench:  # doctest: +SKIP
+    ...     print(serve_live(bench))
+    ...     bench.run(StackRequest(seed=7))
+
     """
     host, _, port = address.rpartition(":")
     host = host.strip("[]")
@@ -130,8 +156,15 @@ def serve_live(session: Session, address: str) -> str:
         lambda topic, log_ns, message: channels[topic.name].log(message, log_time=log_ns),
         lambda topic: bool(channels[topic.name].has_sinks()),
     )
+
+    def stop(_: object) -> None:
+        # It waits for ever for a connection that sends no handshake.
+        stopping = threading.Thread(target=server.stop, name="live view stops", daemon=True)
+        stopping.start()
+        stopping.join(CLOSE_S)
+
     # Neither server nor channels keep their context alive.
-    session.resources.callback(lambda _: server.stop(), context)
+    session.resources.callback(stop, context)
     session.resources.callback(view.close)
     risk = " Everyone who reaches this address sees pictures and events: there is no password."
     return f"Live at ws://{host}:{server.port}.{'' if loopback else risk}"

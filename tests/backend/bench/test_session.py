@@ -5,13 +5,14 @@ import shutil
 import socket
 import sys
 import threading
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, brisk_session, brisk_settings
@@ -292,7 +293,7 @@ def stalled_run(folder, publish):
     return [line for line in lines if '"RunStarted"' not in line], view
 
 
-def test_a_stalled_live_view_changes_no_event(tmp_path, monkeypatch):
+def test_a_stalled_live_view_changes_no_event(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(live_view, "CLOSE_S", 0.0)
     monkeypatch.setattr(live_view, "MOST_EVENTS", 4)
     free, stalled = threading.Event(), threading.Event()
@@ -308,6 +309,51 @@ def test_a_stalled_live_view_changes_no_event(tmp_path, monkeypatch):
     assert stalled.is_set()
     assert shown == alone
     assert view.events.dropped > 0
+    assert f"left out {view.events.dropped} events" in caplog.text
+
+
+def test_a_live_view_that_shows_everything_logs_nothing(caplog):
+    session = SimpleNamespace(
+        events=EventBus(), description=describe_simulation(SimulationSettings()),
+        clock_s=lambda: 60.0, recording=lambda start_s, end_s: read.set(),
+    )  # fmt: skip
+    read = threading.Event()
+    view = LiveView(session, lambda *message: None, lambda topic: True)
+    assert read.wait(10.0)
+    view.close()
+    assert view.skipped_s == 0.0
+    assert "left out" not in caplog.text
+
+
+def replace_sdk(monkeypatch, stop):
+    """Put a server in place of the Foxglove SDK, which serves nothing and stops by ``stop``."""
+    channel = SimpleNamespace(log=None, has_sinks=lambda: False)
+    sdk = SimpleNamespace(
+        Context=object, Schema=lambda **_: None, Channel=lambda *_, **__: channel,
+        start_server=lambda **_: SimpleNamespace(port=1, stop=stop),
+    )  # fmt: skip
+    monkeypatch.setitem(sys.modules, "foxglove", sdk)
+
+
+def test_a_client_that_says_nothing_does_not_keep_the_bench_open(monkeypatch):
+    free, ended = threading.Event(), []
+    replace_sdk(monkeypatch, lambda: ended.append(free.wait(30.0)))
+    monkeypatch.setattr(live_view, "CLOSE_S", 0.1)
+    with brisk() as bench:
+        serve_live(bench)
+    assert ended == []
+    free.set()
+
+
+@pytest.mark.parametrize(
+    ("address", "risk"),
+    [("127.0.0.1:1", False), ("[::1]:1", False), ("localhost:1", False), ("0.0.0.0:1", True),
+     ("192.168.0.5:1", True)],
+)  # fmt: skip
+def test_an_address_beyond_this_computer_names_its_risk(monkeypatch, address, risk):
+    replace_sdk(monkeypatch, lambda: None)
+    with brisk() as bench:
+        assert ("there is no password" in serve_live(bench, address)) == risk
 
 
 def test_the_live_view_has_the_topics_and_types_of_a_recording(tmp_path):
@@ -348,16 +394,30 @@ HANDSHAKE = (
 )
 
 
-def test_foxglove_is_told_every_topic():
+def test_foxglove_is_told_every_topic(monkeypatch):
     pytest.importorskip("foxglove")
-    with brisk() as bench:
-        text = serve_live(bench, "127.0.0.1:0")
-        port = int(text.rstrip(".").rpartition(":")[2])
-        with socket.create_connection(("127.0.0.1", port), 10.0) as client:
+    monkeypatch.setattr(live_view, "CLOSE_S", 0.1)
+    with ExitStack() as clients:
+        with brisk() as bench:
+            port = int(serve_live(bench, "127.0.0.1:0").rstrip(".").rpartition(":")[2])
+            silent, client = (
+                clients.enter_context(socket.create_connection(("127.0.0.1", port), 10.0))
+                for _ in range(2)
+            )
             client.sendall(HANDSHAKE)
             told = b""
             while not all(f'"{topic.name}"'.encode() in told for topic in LIVE_TOPICS):
                 told += client.recv(1 << 16)
+        assert silent.fileno() > 0  # it has never said anything, and the bench is closed
+    while any(end.laddr.port == port for end in psutil.Process().net_connections()):
+        threading.Event().wait(0.05)  # the SDK closes its sockets later
+
+
+def test_the_layout_for_foxglove_shows_topics_that_are_served():
+    layout = (files("touchdown.resources") / "foxglove" / "touchdown.json").read_text("utf-8")
+    shown = set(re.findall(r'"(/[a-z/_]+)[".]', layout))
+    assert len(shown) >= 8
+    assert shown <= {topic.name for topic in LIVE_TOPICS}
 
 
 def test_a_live_view_that_cannot_be_served_says_what_to_do(monkeypatch):

@@ -3,7 +3,6 @@ from .episode_mcap import HOMOGRAPHY_KEY as HOMOGRAPHY_KEY
 from .episode_mcap import LIVE_TOPICS as LIVE_TOPICS
 from .episode_mcap import PADS_KEY as PADS_KEY
 from .episode_mcap import REST_KEY as REST_KEY
-from .episode_mcap import START_KEY as START_KEY
 from .episode_mcap import CompressedEpisode as CompressedEpisode
 from .episode_mcap import CompressedImages as CompressedImages
 from .episode_mcap import KeepFrames as KeepFrames
@@ -20,6 +19,7 @@ from .episode_mcap import to_ns as to_ns
 from .episode_mcap import without_images as without_images
 from .episode_mcap import write_episode as write_episode
 from .mcap_container import DAMAGED_FILE_FIX as DAMAGED_FILE_FIX
+from .mcap_container import START_KEY as START_KEY
 from .mcap_container import ChunkContents as ChunkContents
 from .mcap_container import StoredChunk as StoredChunk
 from .mcap_container import input_errors as input_errors

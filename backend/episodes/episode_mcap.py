@@ -25,6 +25,7 @@ from touchdown.backend.episodes.mcap_container import (
     DAMAGE,
     DAMAGED_FILE_FIX,
     MAGIC,
+    START_KEY,
     ChunkContents,
     McapWriter,
     MessageBlock,
@@ -163,7 +164,6 @@ def make_frames(facts: str, pairs: Mapping[str, str], scene_px: tuple[int, int])
 StampedMessages = tuple[Topic, Times, Times, Iterable[bytes]]
 SCHEMA_VERSION = "1"
 REST_KEY = "rest"  # pair of an episode that was recorded at rest, without a press
-START_KEY = "clock_start_ns"  # wall clock at the zero of the bench clock, ns since 1970
 TOPICS = (
     OBSERVATION_TOPIC,
     LABEL_TOPIC,

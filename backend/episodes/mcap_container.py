@@ -32,6 +32,7 @@ MESSAGE_HEAD = np.dtype(
      ("log", "<u8"), ("publish", "<u8")]
 )  # fmt: skip
 INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+START_KEY = "clock_start_ns"  # wall clock at the zero of the bench clock, ns since 1970
 
 
 class Opcode(IntEnum):

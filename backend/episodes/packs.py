@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS
 from touchdown.backend.episodes import mcap_container
-from touchdown.backend.episodes.episode_mcap import START_KEY
+from touchdown.backend.episodes.mcap_container import START_KEY
 from touchdown.backend.episodes.messages import (
     LABEL_TOPIC,
     OBSERVATION_TOPIC,

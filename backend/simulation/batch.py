@@ -395,7 +395,7 @@ def _wrench_noise(settings: SimulationSettings, rng: np.random.Generator) -> Flo
     per_tick = np.sqrt(0.1 * wrist.rate_hz)
     tare = rng.standard_normal(6) / np.sqrt(0.2 * wrist.rate_hz)
     noise = white * (rng.standard_normal((SAMPLES_PER_PROBE, 6)) / per_tick - tare)
-    walk = np.sqrt(np.r_[1.6, np.full(SAMPLES_PER_PROBE - 1, 0.1)] / 60.0)[:, None]
+    walk = np.sqrt(marker_fields.SINCE_REFERENCE_S / 60.0)[:, None]
     noise += drift * np.cumsum(walk * rng.standard_normal((SAMPLES_PER_PROBE, 6)), axis=0)
     return np.asarray(noise, dtype=np.float64)
 

@@ -43,9 +43,12 @@ class ContactCells(Rows):
     count: NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ContactForces(Rows):
-    """Motion (mm) and forces (N) of the cells at one trial, all (B, n); their resultant (B, 6)."""
+    """Motion (mm) and forces (N) of the cells at one trial, all (B, n); their resultant (B, 6).
+
+    ``size``: of the pull, at least ``TINY``; ``share`` of it that friction bears.
+    """
 
     u_x: FloatArray
     u_y: FloatArray
@@ -92,30 +95,42 @@ def surface_motion(cells: ContactCells, q: FloatArray) -> tuple[FloatArray, Floa
     """Return u_x, u_y, u_z (B, n) of every cell."""
     p = (q[:, 0] + q[:, 4] * cells.r_z)[:, None]
     t = (q[:, 1] - q[:, 3] * cells.r_z)[:, None]
-    u_x = p - q[:, 5:6] * cells.y
-    u_y = t + q[:, 5:6] * cells.x
-    u_z = q[:, 2:3] + q[:, 3:4] * cells.y - q[:, 4:5] * cells.x
+    u_x, u_y = q[:, 5:6] * cells.y, q[:, 5:6] * cells.x
+    np.subtract(p, u_x, out=u_x)
+    u_y += t
+    u_z = q[:, 3:4] * cells.y
+    u_z += q[:, 2:3]
+    u_z -= q[:, 4:5] * cells.x
     return u_x, u_y, u_z
 
 
 def contact_forces(cells: ContactCells, anchor: FloatArray, q: FloatArray) -> ContactForces:
     """Return the cell forces for motion ``q`` (B, 6) with slider anchors ``anchor`` (2, B, n)."""
-    u_x, u_y, u_z = surface_motion(cells, q)
-    normal_n = cells.normal * np.maximum(cells.gap_mm - u_z, 0.0)
-    pull_x = cells.tangential * (u_x - anchor[0])
-    pull_y = cells.tangential * (u_y - anchor[1])
-    size = np.sqrt(pull_x * pull_x + pull_y * pull_y)
-    share = np.minimum(1.0, cells.mu * normal_n / np.maximum(size, TINY))
+    # In place where it can be: a batch of episodes spends most of its time here.
+    u_x, u_y, normal_n = surface_motion(cells, q)
+    np.subtract(cells.gap_mm, normal_n, out=normal_n)
+    np.maximum(normal_n, 0.0, out=normal_n)
+    normal_n *= cells.normal
+    pull_x, pull_y = u_x - anchor[0], u_y - anchor[1]
+    pull_x *= cells.tangential
+    pull_y *= cells.tangential
+    size, spare = pull_x * pull_x, pull_y * pull_y
+    size += spare
+    np.sqrt(size, out=size)
+    np.maximum(size, TINY, out=size)
+    share = cells.mu * normal_n
+    share /= size
+    np.minimum(share, 1.0, out=share)
     forces = np.empty((len(q), 3, normal_n.shape[1]))
-    np.multiply(pull_x, -share, out=forces[:, 0])
-    np.multiply(pull_y, -share, out=forces[:, 1])
+    np.negative(share, out=spare)
+    np.multiply(pull_x, spare, out=forces[:, 0])
+    np.multiply(pull_y, spare, out=forces[:, 1])
     forces[:, 2] = normal_n
     sums = forces @ cells.basis[:, :, :3]
-    f_x, f_y, f_z = sums[:, 0, 0], sums[:, 1, 0], sums[:, 2, 0]
     wrench = np.empty((len(q), 6))
-    wrench[:, 0], wrench[:, 1], wrench[:, 2] = f_x, f_y, f_z
-    wrench[:, 3] = sums[:, 2, 2] - cells.r_z * f_y
-    wrench[:, 4] = cells.r_z * f_x - sums[:, 2, 1]
+    wrench[:, :3] = sums[:, :, 0]
+    wrench[:, 3] = sums[:, 2, 2] - cells.r_z * sums[:, 1, 0]
+    wrench[:, 4] = cells.r_z * sums[:, 0, 0] - sums[:, 2, 1]
     wrench[:, 5] = sums[:, 1, 1] - sums[:, 0, 2]
     return ContactForces(u_x, u_y, normal_n, pull_x, pull_y, size, share, wrench)
 
@@ -124,18 +139,21 @@ def tangent_stiffness(cells: ContactCells, now: ContactForces) -> FloatArray:
     """Return d(wrench)/dq (B, 6, 6), the unsymmetric friction-normal coupling included."""
     slides = now.share < 1.0
     touching = now.normal_n > 0.0
-    direction_x = now.pull_x / np.maximum(now.size, TINY)
-    direction_y = now.pull_y / np.maximum(now.size, TINY)
-    stiff = -cells.tangential * now.share
-    along = np.where(slides, stiff, 0.0)
+    direction_x, direction_y = now.pull_x / now.size, now.pull_y / now.size
+    stiff = cells.tangential * now.share
+    along = slides * stiff
     rows = np.empty((len(cells.x), 6, cells.x.shape[1]))
-    rows[:, 0] = stiff - along * direction_x * direction_x
-    rows[:, 1] = -along * direction_x * direction_y
-    rows[:, 2] = stiff - along * direction_y * direction_y
-    coupling = np.where(slides & touching, cells.mu * cells.normal, 0.0)
-    rows[:, 3] = coupling * direction_x
-    rows[:, 4] = coupling * direction_y
-    rows[:, 5] = np.where(touching, -cells.normal, 0.0)
+    along_x = along * direction_x
+    np.subtract(np.multiply(along_x, direction_x, out=rows[:, 0]), stiff, out=rows[:, 0])
+    np.multiply(along_x, direction_y, out=rows[:, 1])
+    along *= direction_y
+    np.subtract(np.multiply(along, direction_y, out=along), stiff, out=rows[:, 2])
+    normal = np.multiply(cells.normal, touching, out=stiff)
+    np.negative(normal, out=rows[:, 5])
+    normal *= slides
+    normal *= cells.mu
+    np.multiply(normal, direction_x, out=rows[:, 3])
+    np.multiply(normal, direction_y, out=rows[:, 4])
     return _assemble(rows @ cells.basis, cells.r_z)
 
 
@@ -170,7 +188,10 @@ def _assemble(m: FloatArray, r_z: FloatArray) -> FloatArray:
 def updated_anchor(cells: ContactCells, now: ContactForces) -> FloatArray:
     """Return the anchors (2, B, n) after the step: dragged where sliding, free where lifted."""
     back = now.share / np.maximum(cells.tangential, TINY)
-    return np.stack([now.u_x - back * now.pull_x, now.u_y - back * now.pull_y])
+    anchor = np.empty((2, *back.shape))
+    np.subtract(now.u_x, back * now.pull_x, out=anchor[0])
+    np.subtract(now.u_y, back * now.pull_y, out=anchor[1])
+    return anchor
 
 
 TRIALS_PER_CALL = 48  # trials solved in one call; fewer do not pay its fixed cost
@@ -235,33 +256,32 @@ def solve_equilibrium(
     Steps that do not lower the residual of a probe are halved for that probe alone.
     """
     spring = _SpringLoad(cells, anchor, zero, stiffness)
-    now = spring.at(start)
-    for done in range(iterations):
+    now = spring.at(start + 0.0)
+    ends, rows = now, np.arange(len(start))  # ``now`` holds the probes ``rows`` of ``ends``
+    for _ in range(iterations):
         busy = now.size > TOLERANCE
-        if not busy.any():
+        count = np.count_nonzero(busy)
+        if not count:
             break
-        few = np.flatnonzero(busy)
-        if len(few) <= COMPRESS_BELOW_SHARE * len(start):
+        if count <= COMPRESS_BELOW_SHARE * len(rows):
             # Solve the unfinished probes separately.
-            q, size = now.q + 0.0, now.size
-            q[few], _, size[few] = solve_equilibrium(
-                cells.take(few),
-                anchor[:, few],
-                q[few],
-                zero[few],
-                stiffness[few],
-                iterations - done,
-            )
-            return q, contact_forces(cells, anchor, q), size
-        matrix = tangent_stiffness(cells, now.touch)
-        matrix[:, _DIAGONAL, _DIAGONAL] -= stiffness
+            few = np.flatnonzero(busy)
+            if now is not ends:
+                ends.put(rows, now)
+            rows, spring, now, busy = rows[few], spring.take(few), now.take(few), busy[few]
+        matrix = tangent_stiffness(spring.cells, now.touch)
+        matrix[:, _DIAGONAL, _DIAGONAL] -= spring.stiffness
         step = np.asarray(np.linalg.solve(matrix, -now.left[:, :, None])[:, :, 0], np.float64)
         step[~busy] = 0.0
+        whole = now is ends
         now = _newton_step(spring, now, step, busy)
-    return now.q, now.touch, now.size
+        ends = now if whole else ends
+    if now is not ends:
+        ends.put(rows, now)
+    return ends.q, ends.touch, ends.size
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _MotionTrial(BatchTrial):
     """Motion ``q`` (B, 6), contact forces, residual ``left`` (B, 6) and its norm ``size`` (B,)."""
 

@@ -74,6 +74,8 @@ def gel_from_settings(settings: SimulationSettings) -> Gel:
 FRAMES_PER_PRESS = 72  # frames per camera that cover any press at 25 Hz
 LEAD_TIME_S = 0.25  # the first frame comes this long before first touch
 IMAGE_PX = (320.0, 240.0)
+# Duration of the drift up to each tick: from the reference, about 1.5 s before the press.
+SINCE_REFERENCE_S = np.array([1.6] + (SAMPLES_PER_PROBE - 1) * [0.1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +101,8 @@ def draw_camera(settings: TactileSettings, rng: np.random.Generator) -> CameraDr
     t_s = phase + period * np.arange(FRAMES_PER_PRESS) - LEAD_TIME_S + jitter
     white = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2, MARKERS, 2), dtype=np.float32)
     white *= np.float32(settings.white_px)
-    # The field has drifted since the reference, about 1.5 s before the press.
     steps = rng.standard_normal((SAMPLES_PER_PROBE, 2, 2))
-    steps *= (
-        settings.drift_px_sqrt_s
-        * np.sqrt(np.r_[1.6, np.full(SAMPLES_PER_PROBE - 1, 0.1)])[:, None, None]
-    )
+    steps *= settings.drift_px_sqrt_s * np.sqrt(SINCE_REFERENCE_S)[:, None, None]
     return CameraDraw(
         np.where(dropped, np.inf, t_s), _draw_lost(settings, rng), white, np.cumsum(steps, axis=0)
     )
@@ -178,20 +176,34 @@ def fields_at_ticks(
     values = timeline.at(frame_t.reshape(count, -1)).reshape(*index.shape, -1)
     moved = _inputs(values, sight) - _inputs(air[:, None, None, None, :], sight)
     moved = moved.reshape(count, 2, -1, sight.gel.map.shape[1])
-    field = (moved @ sight.gel.map).reshape(*index.shape, MARKERS, 2)
-    lost = np.stack([draw.lost for draw in draws])[rows, fingers, index]
+    at_ticks = np.empty((count, SAMPLES_PER_PROBE, 2, MARKERS, 2))
+    for k, draw in enumerate(draws):  # the fields of one probe stay in the cache
+        at_frames = (moved[k] @ sight.gel.map).reshape(*index.shape[1:], MARKERS, 2)
+        _image(at_frames, draw.lost[fingers[0], index[k]], draw, sight, sight.gain[k])
+        at_frames *= weight[k, ..., None, None]
+        np.add(at_frames[:, :, 0], at_frames[:, :, 1], out=at_ticks[k].swapaxes(0, 1))
+        at_ticks[k] += sight.bias_px[k, None, :, None, :]
+        at_ticks[k] += draw.drift_px[:, :, None, :]
+    return at_ticks
+
+
+def _image(
+    field: FloatArray,
+    lost: NDArray[np.bool_],
+    draw: CameraDraw,
+    sight: PadImaging,
+    gain: FloatArray,
+) -> None:
+    """Image the ``field`` (2, 20, 2, 63, 2) of one probe in place; unseen markers are filled in."""
     at_px = sight.gel.rest_px[:, None, None] + field
-    lost |= (at_px < sight.border_px).any(axis=-1)
-    lost |= (at_px > np.array(IMAGE_PX) - sight.border_px).any(axis=-1)
-    field *= sight.gain[:, :, None, None, None, None]
-    field += np.stack([draw.white_px for draw in draws]).swapaxes(1, 2)
+    outside = at_px < sight.border_px
+    outside |= at_px > np.array(IMAGE_PX) - sight.border_px
+    lost |= outside[..., 0] | outside[..., 1]
+    field *= gain[:, None, None, None, None]
+    field += draw.white_px.swapaxes(0, 1)
     hurt = lost.any(axis=-1)
     if hurt.any():
         field[hurt] = fill_unseen_markers(field[hurt], ~lost[hurt])
-    at_ticks = (field * weight[..., None, None]).sum(axis=3).swapaxes(1, 2)
-    at_ticks += sight.bias_px[:, None, :, None, :]
-    at_ticks += np.stack([draw.drift_px for draw in draws])[:, :, :, None, :]
-    return np.asarray(at_ticks, dtype=np.float64)
 
 
 def _inputs(values: FloatArray, sight: PadImaging) -> FloatArray:

@@ -71,21 +71,19 @@ def springs(conditions: Conditions, relaxed: FloatArray, dt_s: float | FloatArra
         stiffer = stiffer + slow
     shear, normal = conditions.shear_n_mm * stiffer, conditions.normal_n_mm * stiffer
     torsion = conditions.torsion_nmm * stiffer
-    finger = np.stack([shear, shear, torsion, normal], axis=1)
-    both = 2.0 * np.stack([shear, normal, shear], axis=1)
+    finger = np.empty((len(shear), 4))
+    finger[:, 0] = finger[:, 1] = shear
+    finger[:, 2], finger[:, 3] = torsion, normal
+    both = 2.0 * finger[:, [0, 3, 0]]
     series = both * conditions.robot_n_mm / (both + conditions.robot_n_mm)
-    lever = 2.0 * shear * (0.5 * conditions.width_mm) ** 2
-    rotation = np.stack([lever, 2.0 * torsion, lever], axis=1)
+    diagonal = np.empty((len(shear), 6))
+    diagonal[:, :3] = series
+    diagonal[:, 3] = diagonal[:, 5] = 2.0 * shear * (0.5 * conditions.width_mm) ** 2
+    diagonal[:, 4] = 2.0 * torsion
     hidden = (share / stiffer)[:, None, None] * relaxed[..., :4]
     if slow.any():
         hidden += (slow / stiffer)[:, None, None] * relaxed[..., 4:]
-    return Springs(
-        finger,
-        series,
-        np.concatenate([series, rotation], axis=1),
-        series / conditions.robot_n_mm,
-        hidden,
-    )
+    return Springs(finger, series, diagonal, series / conditions.robot_n_mm, hidden)
 
 
 def elastic_zero(

@@ -22,14 +22,15 @@ class Rows:
 
     def take(self, rows: NDArray[np.intp]) -> Self:
         """Return the probes ``rows``."""
-        parts: dict[str, Any] = {}
+        parts: list[Any] = []
         for name in self.__dataclass_fields__:
             part = getattr(self, name)
             if isinstance(part, np.ndarray):
-                parts[name] = part[:, rows] if name == AXIS_1 else part[rows]
+                part = part.take(rows, axis=1 if name == AXIS_1 else 0)
             elif isinstance(part, Rows):
-                parts[name] = part.take(rows)
-        return replace(self, **parts)
+                part = part.take(rows)
+            parts.append(part)
+        return type(self)(*parts)
 
     def put(self, rows: NDArray[np.intp], by: Self) -> None:
         """Overwrite the probes ``rows`` with those of ``by``."""

@@ -1,9 +1,11 @@
 """Time of tests, set-up, command line, mass simulation, collection and marker tracking."""
 
 import json
+import os
 import platform
 import subprocess
 import sys
+import tarfile
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -92,21 +94,53 @@ def command_line_start() -> list[Figure]:
     return [Figure("touchdown --version", value, "s", "< 1 (own)", ok=value < 1)]
 
 
+def _simulate(package: str, checkout: Path, episodes: int = 2000) -> tuple[float, float]:
+    """Simulate the pot on three bottoms by the command ``package`` of ``checkout``.
+
+    Returns the time that the command prints, and that of the whole process, in s.
+    """
+    words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15", "--json"]
+    given = {**os.environ, "PYTHONPATH": str(checkout)}
+    given.pop("PYTHONDONTWRITEBYTECODE", None)  # an unpacked version is compiled once only
+    with tempfile.TemporaryDirectory() as folder:
+        begun_s = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", package, *words, "--episodes", str(episodes), "--out", folder],
+            check=True, capture_output=True, text=True, cwd=checkout, env=given,
+        )  # fmt: skip
+        took_s = time.perf_counter() - begun_s
+    answer = json.loads(done.stdout)
+    assert answer["episodes"] == 3 * episodes, answer
+    return answer["seconds"], took_s
+
+
 @figure("simulation")
 def six_thousand_episodes() -> list[Figure]:
     """Time for 6,000 episodes of the Pot on two processes, without images."""
+    seconds, _ = _simulate("touchdown", ROOT)
+    return [Figure("6,000 episodes of the pot", seconds, "s", "<= 60 (goal 20)", seconds <= 60)]
+
+
+# The last version before the modules were merged, of 833 modules.
+BEFORE = "3d1bd4779040794ac2dea4eeb564b3c250cf78c0"
+
+
+@figure("peers")
+def simulation_of_the_version_before() -> list[Figure]:
+    """6,000 episodes by two processes, beside an earlier version out of the history."""
+    name = f"6,000 episodes of the pot / the same by version {BEFORE[:8]}, time"
     with tempfile.TemporaryDirectory() as folder:
-        words = "simulate --piece pot --bottoms circle15,circle25,square15 --episodes 2000 --seed 1"
-        done = subprocess.run(
-            [sys.executable, "-m", "touchdown", *words.split(), "--out", folder, "--json"],
-            check=True,
-            capture_output=True,
-            text=True,
-            cwd=Path(__file__).resolve().parents[2],
-        )
-    answer = json.loads(done.stdout)
-    ok = answer["seconds"] <= 60 and answer["episodes"] == 6000
-    return [Figure("6,000 episodes of the pot", answer["seconds"], "s", "<= 60 (goal 20)", ok)]
+        packed = Path(folder) / "before.tar"
+        words = ["git", "archive", "--output", str(packed), BEFORE, "backend", "resources"]
+        if subprocess.run(words, cwd=ROOT, check=False, capture_output=True).returncode:
+            note = "not measured: the checkout has no history of that version"
+            return [Figure(name, None, "", "<= 0.9", None, note)]
+        before = Path(folder) / "before"
+        with tarfile.open(packed) as archive:
+            archive.extractall(before, filter="data")
+        _simulate("backend", before, 1)  # compiles it
+        return [paired(name, lambda: _simulate("touchdown", ROOT)[1],
+                       lambda: _simulate("backend", before)[1], 0.9)]  # fmt: skip
 
 
 PROBES = 30

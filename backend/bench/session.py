@@ -237,6 +237,7 @@ class Session:
         # Whether a window shows pictures, and whether a live view serves them
         self.watched: bool = True
         self.served: bool = False
+        self._step_us = STEP_US  # of the next advance
         self._owed_us = 0  # live time that the bench has not advanced yet
         self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
 
@@ -488,9 +489,7 @@ class Session:
 
     def advance(self) -> None:
         """Advance the bench by one step and process the samples."""
-        self._advance(STEP_US)
-
-    def _advance(self, step_us: int) -> None:
+        step_us, self._step_us = self._step_us, STEP_US
         latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             self._hand.tick()
@@ -532,7 +531,8 @@ class Session:
             step_us = REST_US
         while self._owed_us >= step_us:
             self._owed_us -= step_us
-            self._advance(step_us)
+            self._step_us = step_us
+            self.advance()
 
     @property
     def _idle(self) -> bool:

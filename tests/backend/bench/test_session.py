@@ -115,11 +115,11 @@ def test_every_picture_of_a_run_is_tracked_and_every_third_of_an_idle_bench():
 
 def advanced_us(bench, steps):
     """Return the steps in which a live bench advances."""
-    taken, advance = [], bench._advance
-    bench._advance = lambda step_us: taken.append(step_us) or advance(step_us)
+    taken, advance = [], bench.advance
+    bench.advance = lambda: taken.append(bench._step_us) or advance()
     for _ in range(steps):
         bench._live_step()
-    bench._advance = advance
+    bench.advance = advance
     return taken
 
 

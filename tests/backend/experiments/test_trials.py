@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 
 from tests.backend.bench.brisk import RATE_HZ
-from tests.backend.experiments.device_loop import run_on_devices
-from touchdown.backend.bench.assembly import make_scene, shipped_model
+from touchdown.backend.bench.assembly import (
+    SimulatedBenchChoice,
+    make_scene,
+    shipped_model,
+    simulated_session,
+)
 from touchdown.backend.config.method import (
     BeliefSettings,
     PolicySettings,
@@ -22,7 +26,7 @@ from touchdown.backend.config.method import (
     StackSettings,
 )
 from touchdown.backend.config.simulation import PRESETS, SimulationSettings, load_simulation
-from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, TrialFinished
+from touchdown.backend.core.events import ActionChosen, EpisodeRecorded, Event, TrialFinished
 from touchdown.backend.core.values import TACTILE_CHANNELS, FloatArray, Outcome
 from touchdown.backend.experiments.models import batch_model
 from touchdown.backend.experiments.statics import probe_groups
@@ -37,6 +41,7 @@ from touchdown.backend.experiments.trials import (
 )
 from touchdown.backend.geometry import Tower, face_points, judge_tower, load_pieces
 from touchdown.backend.learning.checkpoint import load_checkpoint
+from touchdown.backend.runs import RecordingOptions
 from touchdown.backend.runs.requests import SceneChoice, StackRequest
 from touchdown.backend.sensing.episode import EpisodeLimits
 from touchdown.backend.sensing.slip import shortfall_mm
@@ -52,6 +57,18 @@ MECHANICAL = {
     "spread": {"grasp_offset_mm": 0.5, "tilt_rad": 0.004, "mu": 0.15, "gel": 0.1, "gain": 0.05},
 }
 SEEDS = (11, 12, 13)
+
+
+def run_on_devices(settings: SimulationSettings, request: StackRequest) -> list[Event]:
+    """Return the facts of the run on the bench ``settings``."""
+    facts: list[Event] = []
+    session = simulated_session(SimulatedBenchChoice(given=settings), keep=RecordingOptions(None))
+    session.events.subscribe(facts.append)
+    try:
+        session.run(request)
+    finally:
+        session.close()
+    return facts
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,6 @@ PART ?=
 TO ?= de
 # Where so much is free in memory, tests write there: they flush thousands of small files.
 MEMORY_MB := 6000
-# From CPython 3.12 on, the monitoring of the interpreter measures coverage at no cost.
-CORE := import sys; print("sysmon" if sys.version_info >= (3, 12) else "ctrace")
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,17 +38,20 @@ demo: setup ## stack three pieces without a screen and leave a report
 
 test: setup ## all tests and their coverage: offscreen, no hardware, no network; one by real keys (Xvfb)
 	@.ci/system-packages.sh Xvfb=xvfb xdotool=xdotool
-	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 COVERAGE_CORE="$$($(BIN)/python -c '$(CORE)')"; \
+	@export QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 MEASURE_COVERAGE=1; \
+	rm -f .coverage .coverage.*; \
 	if [ -w /dev/shm ] && [ "$$(df -Pm /dev/shm | awk 'END { print $$4 }')" -ge $(MEMORY_MB) ]; then \
 	    export PYTEST_DEBUG_TEMPROOT=/dev/shm; fi; \
-	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal --cov --cov-report= \
+	$(BIN)/pytest $(TESTS) -q -n $(WORKERS) --dist worksteal \
 	    --junitxml=output/tests.xml || { \
 	    code=$$?; [ $$code = 1 ] || exit $$code; \
+	    unset MEASURE_COVERAGE; \
 	    echo "test: what failed is run again, one by one:"; \
 	    if $(BIN)/pytest $(TESTS) -q --last-failed --last-failed-no-failures none --maxfail 9; \
 	    then echo "test: FAILED. Alone they pass: they depend on speed, or on what ran beside or before."; \
 	    else echo "test: FAILED, alone as well."; fi; \
 	    exit $$code; }
+	@$(BIN)/coverage combine --quiet
 	@echo "coverage: $$($(BIN)/coverage report --format=total) % of the product's lines"
 
 check: lint types contracts test ## all checks of continuous integration

@@ -24,6 +24,12 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import tests.isolation.sitecustomize  # noqa: F401 - refuses bare names
+
+if os.environ.get("MEASURE_COVERAGE"):
+    from tests import statement_coverage
+
+    statement_coverage.begin()  # before the product is imported
+
 from tests.leaks import leaks_since, snapshot
 from tests.warm import WarmStart
 from touchdown.backend.learning import training_process
@@ -59,6 +65,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             for item in items
             if any(wanted in marker.args for marker in item.iter_markers("promise"))
         ]
+
+
+def pytest_sessionfinish() -> None:
+    if module := sys.modules.get("tests.statement_coverage"):
+        module.write()
 
 
 class NetworkForbiddenError(RuntimeError):

@@ -1,4 +1,4 @@
-"""Leak detection of the tests, and the references that Qt for Python may lose."""
+"""Leak detection and coverage of the tests, and the references that Qt for Python may lose."""
 
 import json
 import socket
@@ -7,7 +7,9 @@ import sys
 import threading
 
 import pytest
+from coverage.parser import PythonParser
 
+from tests import statement_coverage
 from tests.conftest import NetworkForbiddenError
 from tests.leaks import leaks_since, snapshot
 
@@ -129,3 +131,108 @@ def test_no_reference_to_true_false_none_is_lost():
     )
     assert done.returncode == 0, done.stderr
     assert max(json.loads(done.stdout).values()) <= 0.3, done.stdout
+
+
+STATEMENTS = '''"""Every kind of statement."""
+
+from __future__ import annotations
+
+import functools
+
+@functools.cache
+@functools.cache
+def kind(value: NotYetKnown):
+    """Return its kind."""
+    match value:
+        case int():
+            return "int"
+        case str() | bytes():
+            text = str(
+                value
+            )
+            return text
+        case list():
+            return "list"
+    return "other"
+
+class Number(int):
+    size: int = 1
+
+    @property
+    def half(self):
+        """Half of it."""
+        return self / 2
+
+    def twice(self):
+        return 2 * self
+
+def tried(action):
+    try:
+        action()
+    except KeyError:
+        result = "key"
+    except (ValueError,
+            TypeError):
+        result = "value"
+    except OSError:
+        result = "system"
+    else:
+        result = "none"
+    finally:
+        action = None
+    return result
+
+async def never():
+    async with other() as one:
+        yield one
+
+total = 0
+for number in range(3):
+    if number > 5:
+        total += 5
+    elif number > 1: total += 1
+    else:
+        total -= 1
+while total > 9:
+    total = 0
+else:
+    total = 7
+kinds = [kind(value) for value in ("a", 1)]
+results = [tried(action) for action in (lambda: int("a"), lambda: None)]
+half = Number(4).half
+with open(__file__) as this:
+    pass
+'''
+
+
+def test_marks_tell_the_statements_that_a_trace_function_sees(tmp_path):
+    path = tmp_path / "sample.py"
+    path.write_text(STATEMENTS)
+    parser = PythonParser(text=STATEMENTS)
+    parser.parse_source()
+    traced = set()
+
+    def trace(frame, event, arg):
+        if frame.f_code.co_filename != str(path):
+            return None
+        if event == "line":
+            traced.add(frame.f_lineno)
+        return trace
+
+    plain, marked = {"__file__": str(path)}, {"__file__": str(path)}
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        exec(compile(STATEMENTS, path, "exec", dont_inherit=True), plain)
+    finally:
+        sys.settrace(before)
+    marks = [0] * (STATEMENTS.count("\n") + 2)
+    marked[statement_coverage.NAME] = marks
+    code = compile(statement_coverage.marked(path.read_bytes()), path, "exec", dont_inherit=True)
+    exec(code, marked)
+    for name in ("total", "kinds", "results", "half"):
+        assert marked[name] == plain[name]
+    seen = {line for line, mark in enumerate(marks) if mark}
+    executed = parser.translate_lines(traced) & parser.statements
+    assert parser.translate_lines(seen) == executed
+    assert 30 < len(executed) < len(parser.statements)

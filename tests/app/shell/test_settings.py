@@ -23,6 +23,7 @@ from touchdown.app.__main__ import incompatibility
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
 from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
+from touchdown.app.splash import Splash
 from touchdown.backend.cli import main as touchdown_command
 from touchdown.widgets.base.theme import THEMES
 from touchdown.widgets.forms import PoseReadout, RunForm
@@ -235,12 +236,11 @@ def test_without_qt_the_line_that_installs_it_is_printed(monkeypatch, capsys, ab
 
 
 def test_a_splash_says_what_goes_on_before_the_slow_imports(qapp, monkeypatch):
-    told, begun_s = [], time.monotonic()
+    told = []
 
     def run(_args, _application, splash):
         assert splash.isVisible()
         assert splash.windowHandle().isExposed()
-        assert time.monotonic() - begun_s < 0.9  # Qt waits 1 s for its own splash
         told.append(splash.message())
         splash.close()
         return 0
@@ -251,6 +251,18 @@ def test_a_splash_says_what_goes_on_before_the_slow_imports(qapp, monkeypatch):
     imports = "import sys, touchdown.app.splash; print({'numpy', 'pydantic'} & set(sys.modules))"
     found = subprocess.run([sys.executable, "-c", imports], capture_output=True, check=True)
     assert found.stdout.decode().strip() == "set()"
+
+
+def test_the_splash_leaves_out_the_second_for_which_qt_waits(qapp):
+    def shown_in_s():
+        begun_s = time.monotonic()
+        splash = Splash()
+        splash.tell("Loading")
+        splash.close()
+        return time.monotonic() - begun_s
+
+    # A busy computer delays some; Qt would delay all.
+    assert any(shown_in_s() < 0.9 for _ in range(20))
 
 
 def test_a_data_folder_that_cannot_be_written_is_told_at_the_start_and_in_collect(live):

@@ -364,7 +364,8 @@ def test_a_random_audit_is_a_share_that_its_seed_repeats(dataset):
     first = dataset.queue("audit", "ann", seed=1)
     assert first == dataset.queue("audit", "bob", seed=1)
     assert first != dataset.queue("audit", "ann", seed=2)
-    assert len(first) == pytest.approx(AUDIT_SHARE * len(uuids), rel=0.35)
+    # The ids are random: half as much again is five standard deviations.
+    assert len(first) == pytest.approx(AUDIT_SHARE * len(uuids), rel=0.5)
     assert first != sorted(first)
 
 

@@ -82,7 +82,8 @@ def identification_report(found: Identification, source: str) -> Report:
     about = (
         found.reason,
         f"{found.presses} presses in {found.grips} grippings of {source}. Mean square of the "
-        f"residuals over their noise: {found.misfit:.2f}; uncertainties are scaled by it.",
+        f"residuals over their noise: {found.misfit:.2f}; uncertainties are scaled by it. Error of "
+        f"the press model that is allowed for: {100 * found.discrepancy:.0f} % of the signals.",
         "The model is that of the simulated bench: what it does not contain is part of the values. "
         "A parameter is used if its standard uncertainty is below half of that of its prior range.",
     )

@@ -37,6 +37,8 @@ STAMPS = {2: slice(0, 6), 7: slice(6, 9), 10: slice(9, 12)}
 LATEST_S = 0.02
 # Error of the model and of the tracker that is constant over a press, of the measured value
 MODEL_SHARE = 0.004
+# Correlation time of a further error of the model, a share of the size of each channel
+DISCREPANCY_S = 0.5
 FLOOR = np.r_[np.repeat([0.004, 0.0001], 3), np.tile([0.02, 0.02, 0.001], 2)]  # N, N·m, px
 
 
@@ -86,9 +88,10 @@ class Layout:
 class GlsFit:
     """Fit of ``measured`` (B, 20, 12) by ``model``; call ``run`` for the solution.
 
-    ``sigma_mm``: standard uncertainty of the position of a press. ``tell`` is called after every
-    prediction and may raise to cancel. ``prior``: mean and standard deviation of the unknowns,
-    without limits, instead of those of their prior ranges.
+    ``sigma_mm``: standard uncertainty of the position of a press. ``discrepancy``: standard
+    deviation of a slow error of the model, over the size of each channel. ``tell`` is called
+    after every prediction and may raise to cancel. ``prior``: mean and standard deviation of the
+    unknowns, without limits, instead of those of their prior ranges.
     """
 
     model: PressModel
@@ -96,6 +99,7 @@ class GlsFit:
     measured: FloatArray
     noise: ChannelNoise
     sigma_mm: float = 0.05
+    discrepancy: float = 0.0
     tell: Callable[[], None] = lambda: None
     prior: tuple[FloatArray, FloatArray] | None = None
     _whitening: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -196,7 +200,17 @@ class GlsFit:
                for slope, sd in zip(slopes.values(), sds, strict=True))], axis=2,
         )  # fmt: skip
         covariance = noise_covariance(self.noise) + columns @ columns.swapaxes(1, 2)
+        if self.discrepancy:
+            covariance += self._slow_error()
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def _slow_error(self) -> FloatArray:
+        """Return (240, 240): covariance of the error of the model, which changes slowly."""
+        t_s = TICK_S * np.arange(SAMPLES_PER_PROBE)
+        size = self.discrepancy * np.sqrt((self.measured**2).mean(axis=0))
+        alike = np.exp(-np.abs(t_s[:, None] - t_s) / DISCREPANCY_S)
+        every = np.einsum("tk,uk,tu,kl->tkul", size, size, alike, np.eye(len(CHANNELS)))
+        return np.asarray(every.reshape(size.size, -1))
 
     def _late(self, x: FloatArray, deeper: FloatArray) -> FloatArray:
         """Return (B, 240, 63): errors by the time stamps of each sensor, per press and per tick.

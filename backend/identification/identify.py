@@ -57,6 +57,8 @@ class Identification:
         Mean square of the fitted residuals over their noise.
     converged : bool
         False if the fit still moved in its last round.
+    discrepancy : float
+        Error of the press model over the size of the signals, 0 if noise explains the residuals.
 
     """
 
@@ -75,6 +77,7 @@ class Identification:
     grips: int
     simulated: bool
     converged: bool
+    discrepancy: float = 0.0
 
     @property
     def reason(self) -> str:
@@ -173,7 +176,7 @@ def identify_bench(
     return Identification(
         settings, nominal, estimates, used, gate, names, correlation, rest.spectra, rest.facts,
         (*missing, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses), len(presses.grips),
-        recordings.simulated, mechanics.converged,
+        recordings.simulated, mechanics.converged, mechanics.discrepancy,
     )  # fmt: skip
 
 
@@ -260,6 +263,7 @@ def write_identification(found: Identification, out: Path, source: str) -> Path:
             "nominal": found.gate.nominal.tolist(), "identified": found.gate.identified.tolist(),
         },
         "misfit": found.misfit,
+        "discrepancy": found.discrepancy,
         "converged": found.converged,
         "missing": [list(pair) for pair in found.missing],
     }  # fmt: skip

@@ -50,8 +50,11 @@ from touchdown.backend.identification.recordings import STEPS_PER_TICK, PressSet
 
 Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
-VERSION = 3  # of the stored results; raised when a stage computes something else
-STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 8, 6
+VERSION = 4  # of the stored results; raised when a stage computes something else
+STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 10, 6
+# After the first round a fit with a larger misfit is repeated with the next larger error of the
+# model, a share of the signals: otherwise what the model lacks determines the stiffness.
+LARGEST_MISFIT, DISCREPANCIES = 2.0, (0.01, 0.02, 0.05, 0.1)
 SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the last
 EARLY = 4  # tick of the slopes for the start
 SLIPPED = 0.1  # largest relative error of the friction of a press that slipped
@@ -124,7 +127,10 @@ def channel_noise(
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """Fit of ``presses``: solution, layout, basis. ``converged``: the last round moved little."""
+    """Fit of ``presses``: solution, layout, basis. ``converged``: the last round moved little.
+
+    ``discrepancy``: error of the press model over the size of the signals, 0 if noise explains all.
+    """
 
     presses: PressSet
     layout: Layout
@@ -132,6 +138,7 @@ class Mechanics:
     roll_off_mm: FloatArray
     roll_off_cov: FloatArray
     converged: bool
+    discrepancy: float = 0.0
 
     def of(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return the values of one unknown, one per mounting or grip, and their errors.
@@ -165,8 +172,10 @@ def fit_mechanics(
     unknowns = unknowns_of(nominal)
     work = np.r_[np.repeat(len(few), STARTS), np.repeat(len(presses), ROUNDS)] * EVALUATIONS
 
-    def fit(part: PressSet, layout: Layout, begin: FloatArray, step: int, name: str) -> Json:
-        """Fit one start or round, the number ``step`` of all."""
+    def fit(
+        part: PressSet, layout: Layout, begin: FloatArray, step: int, name: str, error: float = 0.0
+    ) -> Json:
+        """Fit one start or round, the number ``step`` of all, with an ``error`` of the model."""
         noise = channel_noise(part, basis, drift[:2], float(drift[2]))
         done = [0.0]
 
@@ -175,7 +184,8 @@ def fit_mechanics(
             tell(name, int(work[:step].sum() + done[0]), int(work.sum()))
 
         model = PressModel(part, nominal, library)
-        run = GlsFit(model, layout, measured_channels(part, basis), noise, tell=count)
+        channels = measured_channels(part, basis)
+        run = GlsFit(model, layout, channels, noise, discrepancy=error, tell=count)
         found = asdict(run.run(begin, EVALUATIONS))
         return {key: np.asarray(value).tolist() for key, value in found.items()}
 
@@ -194,16 +204,21 @@ def fit_mechanics(
     for u in unknowns:
         if u.scope == "common":
             x[layout.parts[u.name]] = best[common[u.name]]
+    begin, error, larger = x, 0.0, list(DISCREPANCIES)
     for k in range(ROUNDS):
         name = f"fit, round {k + 1}"
-        found = store.get(f"round{k}", partial(fit, presses, layout, x, STARTS + k, name))
+        found = store.get(f"round{k}", partial(fit, presses, layout, x, STARTS + k, name, error))
         stored: Json = {k: np.array(v) if isinstance(v, list) else v for k, v in found.items()}
         result = FitResult(**stored)
         x = result.x
-        if result.moved < SETTLED:
+        unexplained = result.misfit > LARGEST_MISFIT and larger
+        if unexplained and k:
+            x, error = begin, larger.pop(0)
+        elif result.moved < SETTLED and not unexplained:
             break
     covariance = np.array(marker_field["covariance"])
-    return Mechanics(presses, layout, result, roll_off, covariance, result.moved < SETTLED)
+    settled = result.moved < SETTLED
+    return Mechanics(presses, layout, result, roll_off, covariance, settled, error)
 
 
 def _start(
@@ -419,7 +434,7 @@ def replay_gate(
             PressModel(early, nominal, library, {k: v[first] for k, v in bench.items()}), layout,
             measured_channels(early, basis),
             channel_noise(early, basis, drift[:2], float(drift[2])),
-            prior=(start, layout.vector(lambda u: spread[u.name])),
+            prior=(start, layout.vector(lambda u: spread[u.name])), discrepancy=found.discrepancy,
         )  # fmt: skip
         x = fit.run(start).x
         own = {u.name: u.outer(x[layout.parts[u.name]])[number] for u in layout.unknowns}

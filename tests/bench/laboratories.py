@@ -17,9 +17,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from itertools import product
@@ -52,7 +52,15 @@ from touchdown.backend.core import (
     Recording,
     write_atomically,
 )
-from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows
+from touchdown.backend.episodes import (
+    PackedEpisode,
+    Split,
+    TrainingRows,
+    join_rows,
+    load_rows,
+    patch_hex,
+    write_packs,
+)
 from touchdown.backend.experiments import KINDS
 from touchdown.backend.experiments.document import curves_chart
 from touchdown.backend.experiments.trials import refused_presses
@@ -73,7 +81,9 @@ from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
 from touchdown.backend.learning.training import Trainer, predict
 from touchdown.backend.placement.estimator import mean_entropy
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
-from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.sensing import EpisodeLimits, synchronise
+from touchdown.backend.sensing.episode import judge_quality
+from touchdown.backend.sensing.slip import press_slip_mm
 from touchdown.backend.simulation import BatchedTrials, Scene, wrist_wrench
 from touchdown.backend.simulation.second_world import FiniteGelTrials
 
@@ -581,23 +591,58 @@ def labels_needed(curves: Mapping[str, list[list[float]]]) -> dict[str, Any]:
     }
 
 
-# Trials of the networks for any outline with their shipped rule, before and after an adaptation.
-PLACED = "pot", "barrel", "mushroom"
-TRIALS, RECOVERY_SEED = 10, 48_000_000  # of each piece and bottom
-RULE = (":fused.ensemble=mixture:policy.max_probes=12:fused.first_risk=0.004:fused.risk=0.03"
-        ":fused.inset_mm=0")  # fmt: skip
-LONG_PARTS, STEPS, RATE, NETWORKS = 6, 200, 1e-3, 2  # of an adaptation
+RECOVERY_SEED = 48_000_000
 SECOND_WORLD = "elsewhere-finite-elements"
-SHIPPED = files("touchdown.resources") / "models/fused/any.safetensors"
 
 
-def outcomes(bench: SimulationSettings, network: str, world: str = "bench") -> list[str]:
+@dataclass(frozen=True)
+class Adaptation:
+    """Trials before and after an adaptation, and its training.
+
+    ``network``: shipped one, which was trained on the preset ``own``, with its ``rule`` of release.
+    ``trials`` of each of ``pieces`` and bottom. ``labels``: probes of the place, beside
+    a ``share`` of simulated ones.
+    """
+
+    network: str
+    own: str
+    outlines: str
+    rule: str
+    pieces: tuple[str, ...]
+    trials: int
+    networks: int
+    steps: int
+    labels: int = 0
+    long_parts: int = 6
+    rate: float = 1e-3
+    share: float = 0.5
+
+    @property
+    def shipped(self) -> str:
+        """Path of the shipped network."""
+        return str(files("touchdown.resources") / f"models/fused/{self.network}.safetensors")
+
+
+HIDDEN_ADAPTATION = Adaptation(
+    "any", "bench-v2", "any", ":fused.ensemble=mixture:policy.max_probes=12:fused.first_risk=0.004"
+    ":fused.risk=0.03:fused.inset_mm=0", ("pot", "barrel", "mushroom"), 10, 2, 200,
+)  # fmt: skip
+# Only networks for convex outlines can be trained on labelled probes.
+SECOND_ADAPTATION = Adaptation(
+    "fused", "bench-v1", "convex", "", ("pot",), 30, 1, 300, 200, 4, 2e-4, 0.8
+)
+
+
+def outcomes(
+    how: Adaptation, bench: SimulationSettings, network: str, world: str = "bench"
+) -> list[str]:
     """Return the outcomes of the trials of a network, by piece, bottom and seed."""
     found = []
-    for number, (piece, bottom) in enumerate(product(PLACED, ("short", "long"))):
+    for number, (piece, bottom) in enumerate(product(how.pieces, ("short", "long"))):
         params = {
             "bench": bench.model_dump(mode="json"), "piece": piece, "bottom": bottom,
-            "trials": TRIALS, "world": world, "strategy": f"fused:fused.weights={network}{RULE}",
+            "trials": how.trials, "world": world,
+            "strategy": f"fused:fused.weights={network}{how.rule}",
             "method": StackSettings().model_dump(mode="json"),
         }  # fmt: skip
         spec = JobSpec("beyond", params, RECOVERY_SEED + 1000 * number)
@@ -628,12 +673,18 @@ def recovered(own: list[str], before: list[str], after: list[str]) -> dict[str, 
     }  # fmt: skip
 
 
-def adapted(bench: Path, ranges: Path, out: Path) -> Path:
-    """Train the shipped networks further on an identified bench and its ranges; return the file."""
-    words = ["experiment", "fused", "--bench", bench, "--ranges", ranges, "--from", SHIPPED,
-             "--outlines", "any", "--networks", NETWORKS, "--parts", 0, "--long-parts", LONG_PARTS,
-             "--steps", STEPS, "--rate", RATE, "--executor", "serial", "--out", out,
-             "--json"]  # fmt: skip
+def adapted(how: Adaptation, bench: Path, out: Path, labels: Path | None) -> Path:
+    """Train the shipped networks further on an identified bench, its ranges, and labelled probes.
+
+    A bench that was refused has no ranges beside it. Returns the file.
+    """
+    words = ["experiment", "fused", "--bench", bench, "--from", how.shipped,
+             "--outlines", how.outlines, "--networks", how.networks, "--parts", 0, "--long-parts",
+             how.long_parts, "--steps", how.steps, "--rate", how.rate, "--executor", "serial",
+             "--out", out, "--json"]  # fmt: skip
+    ranges = bench.with_suffix(".json")
+    words += ["--ranges", ranges] if ranges.is_file() else []
+    words += ["--data", labels, "--mix-share", how.share] if labels else []
     with redirect_stdout(io.StringIO()):
         assert command_line(list(map(str, words))) == 0
     return out / "fused.safetensors"
@@ -665,11 +716,14 @@ def recorded_elsewhere(settings: SimulationSettings, seed: int) -> Recordings:
     presses = []
     for _ in range(per_grip):
         at = draw_offset(rng, piece.face, bottom.face, len(grips))
-        press = world.press(grips, at)
-        reasons = refused_presses(press, EpisodeLimits())
+        world.press(grips, at)
         for g, (record, conditions) in enumerate(world.records[-len(grips) :]):
-            if not reasons[g]:
-                signals = native_signals(record, conditions, scenes[g], at[g], rng)
+            signals = native_signals(record, conditions, scenes[g], at[g], rng)
+            # As on a bench: by all frames. A ramp of 0.8 s has 3 or 4 ticks in its middle, too few.
+            end_s = record.onset_s + probe.duration_s
+            slip_mm = press_slip_mm(signals, record.onset_s, end_s)
+            ticks = synchronise(signals, record.onset_s)
+            if judge_quality(ticks, slip_mm, EpisodeLimits()).accepted:
                 presses.append(PressRecording(
                     f"{len(presses)}", f"g{g}", f"m{g // per_mounting}", "pot", "square15", "gel",
                     True, at[g], 0.15, record.onset_s, probe, signals))  # fmt: skip
@@ -677,14 +731,54 @@ def recorded_elsewhere(settings: SimulationSettings, seed: int) -> Recordings:
 
 
 GEL_ELSEWHERE = (45, 5, 3)
-AIR_S = 0.5
+
+
+def label_elsewhere(settings: SimulationSettings, count: int, folder: Path) -> None:
+    """Write ``count`` labelled probes of the second world as packs, as ``collect`` draws them.
+
+    Five probes a gripping, three grippings a mounting, on each of the bottoms ``KNOWN`` in turn. A
+    label is the commanded displacement.
+    """
+    _, per_grip, per_mounting = GEL_ELSEWHERE
+    library, limits = load_pieces(), EpisodeLimits()
+    piece, bottoms = library.top("pot"), KNOWN.split(",")
+    points, rows = face_points(piece.face), list[PackedEpisode]()
+    for number, name in enumerate(bottoms):
+        bottom, grips = library.bottom(name), list(range(-(-count // per_grip // len(bottoms))))
+        scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0),
+                        LABELS_SEED + 100 * number + g // per_mounting, settings)
+                  for g in grips]  # fmt: skip
+        world, rng = RecordedTrials(scenes, ProbeSettings(), grips), np.random.default_rng(
+            [LABELS_SEED, number])  # fmt: skip
+        for probe in range(per_grip):
+            at = draw_offset(rng, piece.face, bottom.face, len(grips))
+            press = world.press(grips, at)
+            patch = bottom.face.contains(points + at[:, None, :])
+            for g, reasons in enumerate(refused_presses(press, limits)):
+                x_um, y_um = np.rint(1e3 * at[g]).astype(int).tolist()
+                rows += [] if reasons else [PackedEpisode(press.observation[g], {
+                    "episode": f"{name}-{g}-{probe}", "x_um": x_um, "y_um": y_um, "sigma_um": 150,
+                    "source": "commanded", "piece": piece.name, "bottom": name,
+                    "patch": patch_hex(patch[g]), "points": len(points), "person": "judge",
+                    "grip_id": f"{name}-g{g}", "mounting_id": f"{name}-m{g // per_mounting}",
+                    "geometry": piece.sha256, "seed": LABELS_SEED})]  # fmt: skip
+    rows.sort(key=lambda row: str(row.label["grip_id"]))
+    folder.mkdir(exist_ok=True)
+    write_packs(folder, "labels", iter(rows[:count]), {"simulated": "true"})
+
+
+LABELS_SEED = 33_000
+AIR_S, HELD_S = 0.5, 0.3  # before and after a press; delayed frames still cover the last tick
 
 
 def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) -> Recording:
     """Return the signals of one press with the sensor errors of its bench."""
     wrist, tactile = scene.settings.wrist, scene.settings.tactile
-    start_s, end_s = record.t_s[0] - AIR_S, record.t_s[-1]
-    path = make_interp_spline(np.r_[start_s, record.t_s], np.vstack([record.air, record.values]), 1)
+    start_s, end_s = record.t_s[0] - AIR_S, record.t_s[-1] + HELD_S
+    pose_t_s = np.r_[start_s, record.t_s, end_s]
+    path = make_interp_spline(
+        pose_t_s, np.vstack([record.air, record.values, record.values[-1]]), 1
+    )
     t_s = np.arange(start_s, end_s, 1.0 / wrist.rate_hz)
     white = np.repeat([wrist.white_n, wrist.white_nm], 3)
     walk = np.repeat([wrist.drift_n_sqrt_min, wrist.drift_nm_sqrt_min], 3)
@@ -693,8 +787,7 @@ def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) ->
     wrench = wrist_wrench(path(t_s)[:, :6], wrist.height_mm, wrist.yaw_rad) + now.ft_offset[0]
     wrench += white * rng.standard_normal(wrench.shape) + drift
     fall = ProbeSettings().approach_mm_s * AIR_S
-    pose_t_s = np.r_[start_s, record.t_s]
-    height = np.r_[record.height_mm[0] + fall, record.height_mm]
+    height = np.r_[record.height_mm[0] + fall, record.height_mm, record.height_mm[-1]]
     height = height + scene.grip_height_mm + now.grasp_offset_mm[0, 1]
     give = path(pose_t_s)[:, :2] / now.robot_n_mm[0, :2]
     fields = []
@@ -714,22 +807,23 @@ def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) ->
     return Recording(t_s, wrench, tuple(fields), (), pose_t_s, pose, np.zeros(6))
 
 
-@cache
-def own_outcomes(preset: str = "bench-v2") -> list[str]:
-    """Return the outcomes of the shipped networks on a bench without the errors of a laboratory."""
-    return outcomes(load_simulation(preset=preset), str(SHIPPED))
-
-
 def add_loss(seed: int) -> None:
     """Count the trials of the shipped networks in one laboratory, and on their own bench."""
     use_one_thread()
+    how = HIDDEN_ADAPTATION
     there, _ = draw_laboratory(seed, drivers=True)
-    own = own_outcomes()
-    before = outcomes(there, str(SHIPPED))
+    own = own_outcomes(how)
+    before = outcomes(how, there, how.shipped)
     counted = {"own": dict(Counter(own)), "there": dict(Counter(before))}
     lost = 100.0 * (own.count("placed") - before.count("placed")) / len(own)
     of = with_result(LOSSES, {"seed": seed, "lost_points": lost, **counted})
     save_result(LOSSES, {"of": of})
+
+
+@cache
+def own_outcomes(how: Adaptation) -> list[str]:
+    """Return the outcomes of the shipped networks on the bench of their training."""
+    return outcomes(how, load_simulation(preset=how.own), how.shipped)
 
 
 def comes_back(place: str, out: Path) -> dict[str, Any]:
@@ -740,38 +834,60 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
     use_one_thread()
     folder, began_s, times = out / f"adapted-{place}", time.process_time(), {}
     folder.mkdir(parents=True, exist_ok=True)
-    bench, ranges = folder / "bench.toml", folder / "bench.json"
+    bench, labels = folder / "bench.toml", None
     if place == SECOND_WORLD:
-        own, world = load_simulation(preset="bench-v1"), place
-        there, nominal = own, own
-        found = identify_bench(
-            recorded_elsewhere(there, 1), nominal, load_pieces(), folder / "stages"
-        )
+        how, world, labels = SECOND_ADAPTATION, place, folder / "labels"
+        there = load_simulation(preset=how.own)
+        recordings = recorded_elsewhere(there, 1)
+        found = identify_bench(recordings, there, load_pieces(), folder / "stages")
         facts: dict[str, Any] = {"accepted": found.gate.accepted, "share": found.gate.share,
                                  "misfit": found.misfit, "used": list(found.used)}  # fmt: skip
-        write_identification(found, bench, place)
+        if found.gate.accepted:
+            write_identification(found, bench, place)
+        else:
+            write_bench(bench, there.model_dump(mode="json", exclude_none=True))
+        if not labels.is_dir():
+            label_elsewhere(there, how.labels, labels)
     else:
-        own, world = load_simulation(preset="bench-v2"), "bench"
+        how, world = HIDDEN_ADAPTATION, "bench"
         there, _ = draw_laboratory(int(place), drivers=True)
         # From recordings through the drivers if there are some
         names = f"laboratory-{place}-drivers.json", f"laboratory-{place}.json"
         file = next(out / name for name in names if (out / name).is_file())
         known = json.loads(file.read_text())
         write_bench(bench, known["bench"])
-        ranges.write_text(json.dumps({"randomisation": known["ranges"]}))
+        bench.with_suffix(".json").write_text(json.dumps({"randomisation": known["ranges"]}))
         facts = {key: known[key] for key in ("accepted", "share", "misfit")}
     times["identify"] = time.process_time() - began_s
-    # The bench of the networks, and the place before and after their training
-    before = own_outcomes(own.preset), outcomes(there, str(SHIPPED), world)
-    times["first trials"] = time.process_time() - began_s
-    sys.stderr.write(f"placed: {[part.count('placed') for part in before]}, {times}\n")
-    network = adapted(bench, ranges, folder)
+    network = adapted(how, bench, folder, labels)
     facts["training"] = load_fused(network).card.metrics
     times["train"] = time.process_time() - began_s
-    sys.stderr.write(f"{facts['training']}, {times}\n")
-    result = recovered(*before, outcomes(there, str(network), world))
+    sys.stderr.write(f"{facts}, {times}\n")
+    after = kept(folder / "after.json", lambda: outcomes(how, there, str(network), world))
+    before = outcomes_before(how, there, world, folder)
     times["trials"] = time.process_time() - began_s
-    return {"seed": place, "identified": facts, **result, "cpu_s_at_end_of": times}
+    return {
+        "seed": place, "network": how.network, "pieces": list(how.pieces), "labels": how.labels,
+        "identified": facts, **recovered(*before, after), "cpu_s_at_end_of": times,
+    }  # fmt: skip
+
+
+def outcomes_before(
+    how: Adaptation, there: SimulationSettings, world: str, folder: Path
+) -> tuple[list[str], list[str]]:
+    """Return the outcomes on the bench of the networks, and in the place before their training."""
+    return (
+        kept(folder / "own.json", lambda: own_outcomes(how)),
+        kept(folder / "before.json", lambda: outcomes(how, there, how.shipped, world)),
+    )
+
+
+def kept(file: Path, make: Callable[[], list[str]]) -> list[str]:
+    """Return what ``file`` holds, or what ``make`` returns, and keep it there."""
+    if not file.is_file():
+        write_atomically(file, json.dumps(make()).encode())
+    found: list[str] = json.loads(file.read_text())
+    return found
 
 
 def save_result(name: str, found: Mapping[str, Any]) -> None:

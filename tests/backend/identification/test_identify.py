@@ -410,6 +410,29 @@ def test_late_time_stamps_are_no_misfit_of_the_model():
         assert 0.5 < found.misfit < 1.5
 
 
+def test_a_slow_error_of_the_model_is_no_misfit_where_it_is_allowed():
+    """Each channel errs by 5 % of its size, with a correlation time of 0.5 s."""
+    rng, offsets = np.random.default_rng(4), np.random.default_rng(5).uniform(-6, 6, (8, 2))
+    presses = made_set(offsets, RAMP * (0.0, 0.0, -1.0), piece="pot", bottom="square15")
+    presses = replace(presses, contact_mm=np.full(8, 30.0))
+    layout = Layout(unknowns_of(NOMINAL), presses.mounting, presses.grip)
+    model = PressModel(presses, NOMINAL, LIBRARY)
+    x = layout.vector(lambda u: float(u.inner(u.start)))
+    exact = model.predict(layout.values(x))
+    t_s = 0.1 * np.arange(20)
+    alike = np.linalg.cholesky(np.exp(-np.abs(t_s[:, None] - t_s) / 0.5))
+    slow = np.einsum("tu,buk->btk", alike, rng.standard_normal(exact.shape))
+    seen = exact + 0.05 * slow * np.sqrt((exact**2).mean(axis=0))
+    noise = ChannelNoise(np.repeat([0.01, 4e-4, 0.02, 0.02], 3), np.full(12, 1e-4), np.zeros(12))
+    seen += noise.white * rng.standard_normal(exact.shape)
+    plain, allowed = (
+        GlsFit(model, layout, seen, noise, discrepancy=error).run(x, evaluations=1).misfit
+        for error in (0.0, 0.05)
+    )
+    assert plain > 5.0
+    assert 0.5 < allowed < 1.5
+
+
 @pytest.mark.slow
 def test_small_delays_of_a_sensor_are_found_and_do_not_change_the_creep():
     """All stamps of the wrist sensor are late by 3 ms, those of the markers early by 2 ms."""
@@ -541,15 +564,19 @@ def full_disk():
         yield
 
 
-def fitted(monkeypatch, store, end=99, moved=0.1):
-    """Fit 6 presses with steps that take no time; cancel at the prediction ``end``."""
+def fitted(monkeypatch, store, end=99, moved=0.1, misfit=None):
+    """Fit 6 presses with steps that take no time; cancel at the prediction ``end``.
+
+    ``misfit``: of the fits by their error of the model, 1 by default.
+    """
     runs = []
 
     def run(self, start, evaluations):
         self.tell()
         runs.append(len(self.measured))
         nothing = np.zeros((len(start), len(start)))
-        return FitResult(start, nothing, np.ones(len(start)), 1.0, 1.0, moved)
+        left = (misfit or {}).get(self.discrepancy, 1.0)
+        return FitResult(start, nothing, np.ones(len(start)), 1.0, left, moved)
 
     def tell(_stage, _done, _total):
         if len(runs) == end:
@@ -576,6 +603,14 @@ def test_a_fit_that_keeps_moving_does_not_converge(monkeypatch, tmp_path):
     found, runs = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"), moved=2.0)
     assert runs == STARTS + ROUNDS
     assert not found.converged
+
+
+def test_the_error_of_the_model_grows_until_it_explains_the_misfit(monkeypatch, tmp_path):
+    misfit = {0.0: 16.0, 0.01: 5.0, 0.02: 1.5}
+    found, runs = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"), misfit=misfit)
+    assert (found.discrepancy, runs, found.converged) == (0.02, STARTS + 4, True)
+    found, runs = fitted(monkeypatch, StageStore(tmp_path / "noise", "inputs"))
+    assert (found.discrepancy, runs) == (0.0, STARTS + 1)
 
 
 def test_a_bench_that_predicts_no_better_is_refused():
@@ -630,6 +665,7 @@ def test_the_result_is_a_bench_file_figures_and_a_page(tmp_path):
     assert bench == found.settings
     assert bench.grasp.shear_n_mm == 5.0
     stored = json.loads(figures.read_text())
+    assert stored["discrepancy"] == 0.0
     assert stored["accepted"]
     assert stored["randomisation"]["grasp.shear_n_mm"] == pytest.approx([4.608, 5.392], abs=1e-3)
     page = identification_page(found, "LAB")

@@ -8,7 +8,7 @@ import os
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import make_interp_spline
 
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
 from tests.backend.simulation.release_cases import (
@@ -35,7 +36,17 @@ from touchdown.backend.config import (
     StackSettings,
     load_simulation,
 )
-from touchdown.backend.core import ActionChosen, Event, FloatArray, Outcome, TrialFinished
+from touchdown.backend.core import (
+    FINGERS,
+    ActionChosen,
+    Event,
+    FloatArray,
+    MarkerField,
+    Outcome,
+    Recording,
+    TrialFinished,
+)
+from touchdown.backend.episodes import PackedEpisode, patch_hex, write_packs
 from touchdown.backend.episodes.training_rows import TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments import KINDS, PIECES, Recipe, adopt_models
 from touchdown.backend.experiments.models import batch_model
@@ -43,10 +54,13 @@ from touchdown.backend.experiments.tables import FULL, Scale, agreement, paper_t
 from touchdown.backend.experiments.trials import (
     BatchTrialResult,
     SceneSetup,
+    refused_presses,
     stack_in_lockstep,
     start_scene,
 )
-from touchdown.backend.geometry import Piece, draw_offset, face_points, load_pieces
+from touchdown.backend.geometry import Piece, Tower, draw_offset, face_points, load_pieces
+from touchdown.backend.identification import Recordings
+from touchdown.backend.identification.recordings import PressRecording
 from touchdown.backend.jobs.execution import ProcessPool, run_campaign
 from touchdown.backend.jobs.job import JobSpec, JobStore, run_job
 from touchdown.backend.learning.checkpoint import load_checkpoint
@@ -57,16 +71,21 @@ from touchdown.backend.learning.training import (
     use_one_thread,
 )
 from touchdown.backend.runs.requests import StackRequest, StrategyChoice
-from touchdown.backend.sensing import EpisodeLimits
+from touchdown.backend.sensing import EpisodeLimits, synchronise
+from touchdown.backend.sensing.episode import judge_quality
+from touchdown.backend.sensing.slip import press_slip_mm
 from touchdown.backend.simulation import (
     RESIDUAL_LIMIT,
     BatchedTrials,
+    Scene,
     begin_probes,
     conditions,
     mujoco_available,
+    wrist_wrench,
 )
 from touchdown.backend.simulation.mechanics import advance_probes
 from touchdown.backend.simulation.release_mujoco import PAIR_BAND_MM, TOWER_BAND_MM
+from touchdown.backend.simulation.second_world import FiniteGelTrials
 
 BACKEND = Path(__file__).resolve().parents[2] / "backend"
 FIRST_SEED = 100  # sixty seeds, ten per cell
@@ -492,3 +511,121 @@ def tables_in_full() -> list[Figure]:
         stated("full tables, processor time", total_h, "h", f"{note} h"),
         at_most(name, shared_h, "h", LIMIT_H, "from parts"),
     ]
+
+
+# Presses of the second world as a laboratory records them: all, per gripping, grippings a mounting
+GEL_ELSEWHERE = (45, 5, 3)
+LABELS_SEED = 33_000
+AIR_S, HELD_S = 0.5, 0.3  # before and after a press; delayed frames still cover the last tick
+
+
+class RecordedTrials(FiniteGelTrials):
+    """Trials of several grippings a mounting, whose presses are kept in ``records``."""
+
+    def __init__(self, scenes: list[Scene], probe: ProbeSettings, grips: list[int]) -> None:
+        super().__init__(scenes, probe)
+        gel = self._gel
+        BatchedTrials.__init__(self, scenes, probe, grips)
+        self._gel, self.records = gel, list[tuple[Any, Any]]()
+
+    def _shown(self, record: Any, conditions: Any) -> Any:
+        self.records.append((super()._shown(record, conditions), conditions))
+        return self.records[-1][0]
+
+
+def recorded_elsewhere(settings: SimulationSettings, seed: int) -> Recordings:
+    """Return recordings of the plan ``gel`` in the second world with the finite-element gel."""
+    count, per_grip, per_mounting = GEL_ELSEWHERE
+    probe, library = ProbeSettings(ramp_fraction=0.4), load_pieces()
+    piece, bottom = library.top("pot"), library.bottom("square15")
+    grips = list(range(count // per_grip))
+    scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0), seed + g // per_mounting, settings)
+              for g in grips]  # fmt: skip
+    world, rng = RecordedTrials(scenes, probe, grips), np.random.default_rng([22, seed])
+    presses = []
+    for _ in range(per_grip):
+        at = draw_offset(rng, piece.face, bottom.face, len(grips))
+        world.press(grips, at)
+        for g, (record, drawn) in enumerate(world.records[-len(grips) :]):
+            signals = native_signals(record, drawn, scenes[g], at[g], rng)
+            # As on a bench: by all frames. A ramp of 0.8 s has 3 or 4 ticks in its middle, too few.
+            end_s = record.onset_s + probe.duration_s
+            slip_mm = press_slip_mm(signals, record.onset_s, end_s)
+            ticks = synchronise(signals, record.onset_s)
+            if judge_quality(ticks, slip_mm, EpisodeLimits()).accepted:
+                presses.append(PressRecording(
+                    f"{len(presses)}", f"g{g}", f"m{g // per_mounting}", "pot", "square15", "gel",
+                    True, at[g], 0.15, record.onset_s, probe, signals))  # fmt: skip
+    return Recordings(tuple(presses), None, (f"second world {seed}",))
+
+
+def label_elsewhere(
+    settings: SimulationSettings, count: int, folder: Path, bottoms: Sequence[str]
+) -> None:
+    """Write ``count`` labelled probes of the second world as packs, as ``collect`` draws them.
+
+    Five probes a gripping, three grippings a mounting, on each of the ``bottoms`` in turn. A label
+    is the commanded displacement.
+    """
+    _, per_grip, per_mounting = GEL_ELSEWHERE
+    library, limits = load_pieces(), EpisodeLimits()
+    piece = library.top("pot")
+    points, rows = face_points(piece.face), list[PackedEpisode]()
+    for number, name in enumerate(bottoms):
+        bottom, grips = library.bottom(name), list(range(-(-count // per_grip // len(bottoms))))
+        scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0),
+                        LABELS_SEED + 100 * number + g // per_mounting, settings)
+                  for g in grips]  # fmt: skip
+        world, rng = RecordedTrials(scenes, ProbeSettings(), grips), np.random.default_rng(
+            [LABELS_SEED, number])  # fmt: skip
+        for probe in range(per_grip):
+            at = draw_offset(rng, piece.face, bottom.face, len(grips))
+            press = world.press(grips, at)
+            patch = bottom.face.contains(points + at[:, None, :])
+            for g, reasons in enumerate(refused_presses(press, limits)):
+                x_um, y_um = np.rint(1e3 * at[g]).astype(int).tolist()
+                rows += [] if reasons else [PackedEpisode(press.observation[g], {
+                    "episode": f"{name}-{g}-{probe}", "x_um": x_um, "y_um": y_um, "sigma_um": 150,
+                    "source": "commanded", "piece": piece.name, "bottom": name,
+                    "patch": patch_hex(patch[g]), "points": len(points), "person": "judge",
+                    "grip_id": f"{name}-g{g}", "mounting_id": f"{name}-m{g // per_mounting}",
+                    "geometry": piece.sha256, "seed": LABELS_SEED})]  # fmt: skip
+    rows.sort(key=lambda row: str(row.label["grip_id"]))
+    folder.mkdir(exist_ok=True)
+    write_packs(folder, "labels", iter(rows[:count]), {"simulated": "true"})
+
+
+def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) -> Recording:
+    """Return the signals of one press with the sensor errors of its bench."""
+    wrist, tactile = scene.settings.wrist, scene.settings.tactile
+    start_s, end_s = record.t_s[0] - AIR_S, record.t_s[-1] + HELD_S
+    pose_t_s = np.r_[start_s, record.t_s, end_s]
+    path = make_interp_spline(
+        pose_t_s, np.vstack([record.air, record.values, record.values[-1]]), 1
+    )
+    t_s = np.arange(start_s, end_s, 1.0 / wrist.rate_hz)
+    white = np.repeat([wrist.white_n, wrist.white_nm], 3)
+    walk = np.repeat([wrist.drift_n_sqrt_min, wrist.drift_nm_sqrt_min], 3)
+    drift = walk * np.cumsum(rng.standard_normal((len(t_s), 6)), axis=0) / np.sqrt(
+        60.0 * wrist.rate_hz)  # fmt: skip
+    wrench = wrist_wrench(path(t_s)[:, :6], wrist.height_mm, wrist.yaw_rad) + now.ft_offset[0]
+    wrench += white * rng.standard_normal(wrench.shape) + drift
+    fall = ProbeSettings().approach_mm_s * AIR_S
+    height = np.r_[record.height_mm[0] + fall, record.height_mm, record.height_mm[-1]]
+    height = height + scene.grip_height_mm + now.grasp_offset_mm[0, 1]
+    give = path(pose_t_s)[:, :2] / now.robot_n_mm[0, :2]
+    fields = []
+    for k, finger in enumerate(FINGERS):
+        at_s = np.arange(start_s + rng.uniform(0.0, 0.04), end_s, 1.0 / tactile.rate_hz)
+        at_s = at_s + rng.uniform(-tactile.jitter_s, tactile.jitter_s, len(at_s))
+        shown = slice(6 + 126 * k, 132 + 126 * k)
+        moved = (path(at_s)[:, shown] - record.air[shown]).reshape(-1, 63, 2) * now.gain[0, k]
+        steps = rng.standard_normal((len(at_s), 1, 2)) / np.sqrt(tactile.rate_hz)
+        moved += now.bias_px[0, k] + tactile.drift_px_sqrt_s * np.cumsum(steps, axis=0)
+        moved += tactile.white_px * rng.standard_normal(moved.shape)
+        fields += [MarkerField(finger, n, t, one, one, np.zeros(63, np.uint8), 1.0)
+                   for n, (t, one) in enumerate(zip(at_s.tolist(), moved, strict=True))
+                   if start_s < t < end_s]  # fmt: skip
+    fields.sort(key=lambda field: field.t_s)
+    pose = np.column_stack([at_mm + give, height])
+    return Recording(t_s, wrench, tuple(fields), (), pose_t_s, pose, np.zeros(6))

@@ -28,50 +28,31 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from tests.backend.bench.brisk import brisk_method, on
+from tests.bench.experiments import label_elsewhere, recorded_elsewhere
 from tests.bench.figures import DATA, Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.command_line import main as command_line
 from touchdown.backend.config import (
-    ProbeSettings,
     SimulationSettings,
     StabilitySettings,
     StackSettings,
     TrainingSettings,
     load_simulation,
 )
-from touchdown.backend.core import (
-    FINGERS,
-    FaultError,
-    InputError,
-    MarkerField,
-    Paused,
-    Recording,
-    write_atomically,
-)
-from touchdown.backend.episodes import (
-    PackedEpisode,
-    Split,
-    TrainingRows,
-    join_rows,
-    load_rows,
-    patch_hex,
-    write_packs,
-)
+from touchdown.backend.core import FaultError, InputError, Paused, write_atomically
+from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments import KINDS
 from touchdown.backend.experiments.document import curves_chart
-from touchdown.backend.experiments.trials import refused_presses
-from touchdown.backend.geometry import Tower, draw_offset, face_points, load_pieces
+from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.identification import (
     Recordings,
     identify_bench,
     read_recordings,
     write_identification,
 )
-from touchdown.backend.identification.recordings import PressRecording
 from touchdown.backend.identification.stages import Gate, replay_gate
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import stable_flags, use_one_thread
@@ -81,11 +62,6 @@ from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
 from touchdown.backend.learning.training import Trainer, predict
 from touchdown.backend.placement.estimator import mean_entropy
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
-from touchdown.backend.sensing import EpisodeLimits, synchronise
-from touchdown.backend.sensing.episode import judge_quality
-from touchdown.backend.sensing.slip import press_slip_mm
-from touchdown.backend.simulation import BatchedTrials, Scene, wrist_wrench
-from touchdown.backend.simulation.second_world import FiniteGelTrials
 
 # Setting: low, high, and whether the logarithm is uniform
 RANGES: dict[str, tuple[float, float, bool]] = {
@@ -690,123 +666,6 @@ def adapted(how: Adaptation, bench: Path, out: Path, labels: Path | None) -> Pat
     return out / "fused.safetensors"
 
 
-class RecordedTrials(FiniteGelTrials):
-    """Trials of several grippings a mounting, whose presses are kept in ``records``."""
-
-    def __init__(self, scenes: list[Scene], probe: ProbeSettings, grips: list[int]) -> None:
-        super().__init__(scenes, probe)
-        gel = self._gel
-        BatchedTrials.__init__(self, scenes, probe, grips)
-        self._gel, self.records = gel, list[tuple[Any, Any]]()
-
-    def _shown(self, record: Any, conditions: Any) -> Any:
-        self.records.append((super()._shown(record, conditions), conditions))
-        return self.records[-1][0]
-
-
-def recorded_elsewhere(settings: SimulationSettings, seed: int) -> Recordings:
-    """Return recordings of the plan ``gel`` in the second world with the finite-element gel."""
-    count, per_grip, per_mounting = GEL_ELSEWHERE
-    probe, library = ProbeSettings(ramp_fraction=0.4), load_pieces()
-    piece, bottom = library.top("pot"), library.bottom("square15")
-    grips = list(range(count // per_grip))
-    scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0), seed + g // per_mounting, settings)
-              for g in grips]  # fmt: skip
-    world, rng = RecordedTrials(scenes, probe, grips), np.random.default_rng([22, seed])
-    presses = []
-    for _ in range(per_grip):
-        at = draw_offset(rng, piece.face, bottom.face, len(grips))
-        world.press(grips, at)
-        for g, (record, conditions) in enumerate(world.records[-len(grips) :]):
-            signals = native_signals(record, conditions, scenes[g], at[g], rng)
-            # As on a bench: by all frames. A ramp of 0.8 s has 3 or 4 ticks in its middle, too few.
-            end_s = record.onset_s + probe.duration_s
-            slip_mm = press_slip_mm(signals, record.onset_s, end_s)
-            ticks = synchronise(signals, record.onset_s)
-            if judge_quality(ticks, slip_mm, EpisodeLimits()).accepted:
-                presses.append(PressRecording(
-                    f"{len(presses)}", f"g{g}", f"m{g // per_mounting}", "pot", "square15", "gel",
-                    True, at[g], 0.15, record.onset_s, probe, signals))  # fmt: skip
-    return Recordings(tuple(presses), None, (f"second world {seed}",))
-
-
-GEL_ELSEWHERE = (45, 5, 3)
-
-
-def label_elsewhere(settings: SimulationSettings, count: int, folder: Path) -> None:
-    """Write ``count`` labelled probes of the second world as packs, as ``collect`` draws them.
-
-    Five probes a gripping, three grippings a mounting, on each of the bottoms ``KNOWN`` in turn. A
-    label is the commanded displacement.
-    """
-    _, per_grip, per_mounting = GEL_ELSEWHERE
-    library, limits = load_pieces(), EpisodeLimits()
-    piece, bottoms = library.top("pot"), KNOWN.split(",")
-    points, rows = face_points(piece.face), list[PackedEpisode]()
-    for number, name in enumerate(bottoms):
-        bottom, grips = library.bottom(name), list(range(-(-count // per_grip // len(bottoms))))
-        scenes = [Scene(piece, Tower((bottom.body(),)), (0.0, 0.0),
-                        LABELS_SEED + 100 * number + g // per_mounting, settings)
-                  for g in grips]  # fmt: skip
-        world, rng = RecordedTrials(scenes, ProbeSettings(), grips), np.random.default_rng(
-            [LABELS_SEED, number])  # fmt: skip
-        for probe in range(per_grip):
-            at = draw_offset(rng, piece.face, bottom.face, len(grips))
-            press = world.press(grips, at)
-            patch = bottom.face.contains(points + at[:, None, :])
-            for g, reasons in enumerate(refused_presses(press, limits)):
-                x_um, y_um = np.rint(1e3 * at[g]).astype(int).tolist()
-                rows += [] if reasons else [PackedEpisode(press.observation[g], {
-                    "episode": f"{name}-{g}-{probe}", "x_um": x_um, "y_um": y_um, "sigma_um": 150,
-                    "source": "commanded", "piece": piece.name, "bottom": name,
-                    "patch": patch_hex(patch[g]), "points": len(points), "person": "judge",
-                    "grip_id": f"{name}-g{g}", "mounting_id": f"{name}-m{g // per_mounting}",
-                    "geometry": piece.sha256, "seed": LABELS_SEED})]  # fmt: skip
-    rows.sort(key=lambda row: str(row.label["grip_id"]))
-    folder.mkdir(exist_ok=True)
-    write_packs(folder, "labels", iter(rows[:count]), {"simulated": "true"})
-
-
-LABELS_SEED = 33_000
-AIR_S, HELD_S = 0.5, 0.3  # before and after a press; delayed frames still cover the last tick
-
-
-def native_signals(record: Any, now: Any, scene: Scene, at_mm: Any, rng: Any) -> Recording:
-    """Return the signals of one press with the sensor errors of its bench."""
-    wrist, tactile = scene.settings.wrist, scene.settings.tactile
-    start_s, end_s = record.t_s[0] - AIR_S, record.t_s[-1] + HELD_S
-    pose_t_s = np.r_[start_s, record.t_s, end_s]
-    path = make_interp_spline(
-        pose_t_s, np.vstack([record.air, record.values, record.values[-1]]), 1
-    )
-    t_s = np.arange(start_s, end_s, 1.0 / wrist.rate_hz)
-    white = np.repeat([wrist.white_n, wrist.white_nm], 3)
-    walk = np.repeat([wrist.drift_n_sqrt_min, wrist.drift_nm_sqrt_min], 3)
-    drift = walk * np.cumsum(rng.standard_normal((len(t_s), 6)), axis=0) / np.sqrt(
-        60.0 * wrist.rate_hz)  # fmt: skip
-    wrench = wrist_wrench(path(t_s)[:, :6], wrist.height_mm, wrist.yaw_rad) + now.ft_offset[0]
-    wrench += white * rng.standard_normal(wrench.shape) + drift
-    fall = ProbeSettings().approach_mm_s * AIR_S
-    height = np.r_[record.height_mm[0] + fall, record.height_mm, record.height_mm[-1]]
-    height = height + scene.grip_height_mm + now.grasp_offset_mm[0, 1]
-    give = path(pose_t_s)[:, :2] / now.robot_n_mm[0, :2]
-    fields = []
-    for k, finger in enumerate(FINGERS):
-        at_s = np.arange(start_s + rng.uniform(0.0, 0.04), end_s, 1.0 / tactile.rate_hz)
-        at_s = at_s + rng.uniform(-tactile.jitter_s, tactile.jitter_s, len(at_s))
-        shown = slice(6 + 126 * k, 132 + 126 * k)
-        moved = (path(at_s)[:, shown] - record.air[shown]).reshape(-1, 63, 2) * now.gain[0, k]
-        steps = rng.standard_normal((len(at_s), 1, 2)) / np.sqrt(tactile.rate_hz)
-        moved += now.bias_px[0, k] + tactile.drift_px_sqrt_s * np.cumsum(steps, axis=0)
-        moved += tactile.white_px * rng.standard_normal(moved.shape)
-        fields += [MarkerField(finger, n, t, one, one, np.zeros(63, np.uint8), 1.0)
-                   for n, (t, one) in enumerate(zip(at_s.tolist(), moved, strict=True))
-                   if start_s < t < end_s]  # fmt: skip
-    fields.sort(key=lambda field: field.t_s)
-    pose = np.column_stack([at_mm + give, height])
-    return Recording(t_s, wrench, tuple(fields), (), pose_t_s, pose, np.zeros(6))
-
-
 def add_loss(seed: int) -> None:
     """Count the trials of the shipped networks in one laboratory, and on their own bench."""
     use_one_thread()
@@ -847,7 +706,7 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
         else:
             write_bench(bench, there.model_dump(mode="json", exclude_none=True))
         if not labels.is_dir():
-            label_elsewhere(there, how.labels, labels)
+            label_elsewhere(there, how.labels, labels, KNOWN.split(","))
     else:
         how, world = HIDDEN_ADAPTATION, "bench"
         there, _ = draw_laboratory(int(place), drivers=True)

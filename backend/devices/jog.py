@@ -144,9 +144,10 @@ class JogPermission:
         """Return the unit vector of a direction, in the bench frame."""
         return direction_of(axis, frame, signed, pose_rotation(self.here()))
 
-    def refuse(self, axis: Axis, frame: Frame, signed: float) -> None:
+    def refuse(self, axis: Axis, frame: Frame, signed: float, press_n: float | None = None) -> None:
         """Raise ``RefusedError`` if force, recovery or height forbid this direction."""
-        press_n, interlock = self._around.press_n(), self._interlock
+        press_n = self._around.press_n() if press_n is None else press_n
+        interlock = self._interlock
         if not turns(axis):
             way = self.way(axis, frame, signed)
             refuse_forced(
@@ -180,13 +181,13 @@ class JogPermission:
 
     def rooms(self, frame: Frame) -> dict[str, JogRange]:
         """Return the range in each direction of a frame, by names such as "+x" and "-j4"."""
-        found = {}
+        press_n, found = self._around.press_n(), {}
         for axis in axes_of(frame):
             if turns(axis) and not self._arm.rotates:
                 continue
             for sign, signed in (("+", 1.0), ("-", -1.0)):
                 try:
-                    self.refuse(axis, frame, signed)
+                    self.refuse(axis, frame, signed, press_n)
                     room = JogRange(self.left(axis, frame, signed))
                 except RefusedError as error:
                     room = JogRange(0.0, error.reason)

@@ -68,7 +68,7 @@ def scroll_into_view(widget: QWidget) -> None:
 TURNS = 2
 PERIOD_MS = 32 // TURNS  # each view at slightly above 30 Hz; a late tick leaves 30 frames/s
 BUDGET_S = 0.008
-CALM_PERIOD_MS = 100 // TURNS  # while nothing moves: each view at 10 Hz
+CALM_PERIOD_MS = 100  # while nothing moves: all views at 10 Hz
 HIDDEN_PERIOD_MS, HIDDEN_BUDGET_S = 100, 0.05  # of a minimised window, which draws nothing
 
 
@@ -77,8 +77,8 @@ class EventPump:
 
     ``pull`` handles one event and returns False if there was none. The time budget is checked after
     every event, so that a burst is spread over several ticks. A view that exceeds the budget is
-    drawn first at the next turn of its half. While ``calm`` returns True the period is 50 ms. While
-    ``hidden`` returns True nothing is drawn, and events are handled every 100 ms.
+    drawn first at the next turn of its half. While ``calm`` returns True all views are drawn every
+    100 ms. While ``hidden`` returns True nothing is drawn, and events are handled every 100 ms.
     """
 
     def __init__(
@@ -116,17 +116,20 @@ class EventPump:
         if self._hold():
             return
         hidden = self._hidden()
-        period_ms = HIDDEN_PERIOD_MS if hidden else CALM_PERIOD_MS if self.calm() else PERIOD_MS
+        calm = not hidden and self.calm()
+        period_ms = HIDDEN_PERIOD_MS if hidden else CALM_PERIOD_MS if calm else PERIOD_MS
         if self._timer.interval() != period_ms:
             self._timer.setInterval(period_ms)
-        views = self._turns[self.ticks % TURNS]
+        halves = self._turns if calm else () if hidden else (self._turns[self.ticks % TURNS],)
         self.ticks += 1
-        deadline = self._now_s() + (HIDDEN_BUDGET_S if hidden else self._budget_s)
+        budget_s = self._budget_s * (TURNS if calm else 1)
+        deadline = self._now_s() + (HIDDEN_BUDGET_S if hidden else budget_s)
         while self._pull() and self._now_s() < deadline:
             pass
-        for _ in range(0 if hidden else len(views)):
-            draw = views[0]
-            views.rotate(-1)
-            draw()
-            if self._now_s() >= deadline:
-                break
+        for views in halves:
+            for _ in range(len(views)):
+                draw = views[0]
+                views.rotate(-1)
+                draw()
+                if self._now_s() >= deadline:
+                    return

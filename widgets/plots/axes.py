@@ -201,6 +201,8 @@ class TraceBuckets:
 
 def finite_runs(values: FloatArray) -> list[tuple[int, int]]:
     """Return the stretches (start, end) without a gap of ``values`` (n,)."""
+    if len(values) and np.isfinite(values).all():
+        return [(0, len(values))]
     edges = np.diff(np.isfinite(values).astype(np.int8), prepend=0, append=0)
     return [(start, end) for start, end in np.flatnonzero(edges).reshape(-1, 2).tolist()]
 

@@ -349,7 +349,7 @@ def test_a_bench_that_stands_still_is_drawn_less_often_until_something_moves(liv
     assert calm_for(0.2)
     bench.turn(0.04)
     live.pump.tick()
-    assert live.pump._timer.interval() == 50
+    assert live.pump._timer.interval() == 100
     if what == "markers":
         bench.press = 0.05  # the fastest marker moves by 0.35 px
     elif what == "wrench":

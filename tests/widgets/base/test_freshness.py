@@ -119,12 +119,12 @@ def test_a_calm_window_draws_each_view_ten_times_a_second_and_at_the_full_rate_a
     pump.calm = lambda: calm[0]
     for name in "ab":
         pump.add(partial(drawn.append, name))
-    for _ in range(4):
+    for _ in range(2):
         pump.tick()
-    assert (drawn, pump._timer.interval()) == (["a", "b", "a", "b"], 50)
+    assert (drawn, pump._timer.interval()) == (["a", "b", "a", "b"], 100)
     calm[0] = False
     pump.tick()
-    assert pump._timer.interval() == 16
+    assert (len(drawn), pump._timer.interval()) == (5, 16)
 
 
 def test_a_hidden_window_handles_events_and_draws_again_once_it_is_shown(qapp, clock):

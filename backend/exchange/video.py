@@ -13,6 +13,7 @@ from touchdown.backend.exchange.features import FPS
 VIDEO_MB = 200
 CODEC: dict[str, object] = {
     "codec": "h264", "crf": 10, "gop": 10, "pix_fmt": "yuv420p", "preset": "veryfast",
+    "bf": 0,  # no picture refers to a later one: Rerun shows such videos only with FFmpeg
 }  # fmt: skip
 PLAYABLE = {"movflags": "+faststart"}  # the index before the pictures: browsers play at once
 HEIGHT, WIDTH = 240, 320
@@ -89,7 +90,7 @@ class VideoWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._container = require_package("av").open(str(path), "w", options=PLAYABLE)
         # one thread: the same images give the same file
-        options = {name: str(CODEC[name]) for name in ("crf", "preset")}
+        options = {name: str(CODEC[name]) for name in ("crf", "preset", "bf")}
         options |= {"g": str(CODEC["gop"]), "threads": "1"}
         stream = self._container.add_stream("libx264", rate=FPS, options=options)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, CODEC["pix_fmt"]

@@ -269,6 +269,7 @@ def test_lerobot_tells_quantiles_robot_and_scene(seen, hand):
     with av.open(str(next((done.folder / "videos").glob("*scene/*/*.mp4")))) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert container.streams.video[0].pix_fmt == "yuv420p"
+        assert not container.streams.video[0].codec_context.has_b_frames
     pressed = seen.read(manifest_of(done.folder)["episodes"][0]["uuid"]).recording.scene[0].image
     small = cv2.resize(pressed, (320, 240), interpolation=cv2.INTER_AREA)[:, :, ::-1]
     assert np.abs(frames[9].astype(int) - small).mean() < 4.0

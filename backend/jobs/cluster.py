@@ -38,7 +38,9 @@ class DaskCluster:
     """Runs jobs through ``dask.distributed``; all workers must have access to the store."""
 
     def __init__(self, kinds: JobFunctions, store: JobStore, client: Any) -> None:
-        self._kinds, self._store, self._client = kinds, store, client
+        # Workers may have another working folder.
+        self._kinds, self._store = kinds, JobStore(store.root.resolve())
+        self._client = client
         self._running: dict[Any, JobSpec] = {}
 
     @classmethod

@@ -91,4 +91,9 @@ def run_jobs(
             if result.state == "failed":
                 failed.append(result.id)
                 screen.say(f"{name} failed: {result.error.strip()}")
+    for spec in part:
+        if spec.id not in failed and not store.has(spec.id):
+            failed.append(spec.id)
+            told = f"ended without a result in {store.root}; all workers need this folder"
+            screen.say(f"{described(spec)[0]} {told}.")
     return failed

@@ -40,6 +40,7 @@ from touchdown.backend.episodes import find_packs, load_rows, read_episode, read
 from touchdown.backend.episodes.messages import stamps_ns
 from touchdown.backend.experiments import collection, tables
 from touchdown.backend.geometry import face_points, load_pieces, true_patch
+from touchdown.backend.jobs import JobStore, SerialExecutor
 from touchdown.backend.runs.event_log import EVENT_LOG_NAME, EventLog
 from touchdown.backend.simulation.release_mujoco import mujoco_available
 
@@ -437,6 +438,15 @@ def test_shards_of_a_simulation_make_one_folder_and_continue_after_an_interrupti
         assert main([*shared, *other]) == 2, "another collection"
     assert main([*SMALL, "--shard", "0/2", "--out", str(tmp_path / "new")]) == 2
     assert "--start" in capsys.readouterr().err
+
+
+def test_jobs_without_a_result_in_the_shared_folder_have_failed(tmp_path, capsys, monkeypatch):
+    def elsewhere(args, kinds, store, tell):
+        return SerialExecutor(kinds, JobStore(tmp_path / "elsewhere"))
+
+    monkeypatch.setattr("touchdown.backend.cli.experiment.executors._executor", elsewhere)
+    assert main([*SMALL, *START, "--out", str(tmp_path / "out")]) == 1
+    assert len(json.loads(capsys.readouterr().out)["failed"]) == 2
 
 
 def test_nested_and_foreign_annotations_are_refused_in_plain_words(tmp_path, capsys) -> None:

@@ -282,6 +282,13 @@ def test_two_dask_workers_give_the_numbers_of_one_process(tmp_path: Path) -> Non
         assert shared.result(spec.id) == alone.result(spec.id)
 
 
+def test_dask_workers_of_another_folder_write_to_the_store(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    client = mock.Mock()
+    DaskCluster(KINDS, JobStore(Path("jobs")), client).submit(draws(1)[0])
+    assert client.submit.call_args.args[-1] == JobStore(tmp_path / "jobs")
+
+
 class FakeSlurm:
     """Runs the tasks of an array at once; tasks of the arrays ``lost`` end without a result."""
 

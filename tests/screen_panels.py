@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtWidgets import QFileDialog
 
 from tests.app.tiny_packs import write_tiny_packs
-from tests.backend.rig.scripted import scripted
+from tests.backend.rig.scripted import ScriptedDevice, scripted
 from tests.backend.runs.test_calibrated import SEEN
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
@@ -34,9 +34,10 @@ from touchdown.backend.core.events import (
     TrialFinished,
     TrialStarted,
 )
-from touchdown.backend.core.faults import Fault
+from touchdown.backend.core.faults import Fault, FaultError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.jog import JogRange, axes_of
+from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.identification.estimates import PARAMETERS
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
 from touchdown.backend.rig.connection import BenchConnection
@@ -301,7 +302,8 @@ def _exchanged(folder: Path) -> Path:
 def _connecting(stage: Stage, folder: Path) -> Iterator[str]:
     main, bench = stage.main, stage.bench
     devices, _ = scripted()
-    devices["gripper"].fails_at = "configure"
+    gripper = devices["gripper"]
+    gripper.fails_at, gripper._fail = "configure", lambda _: _refuse(gripper)
     connection = BenchConnection(devices)
     panel = ConnectPresenter(bench, connection, main.window, main.cards, main.panels.limits)
     panel.open()
@@ -372,11 +374,24 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     found = {
         "accepted": True, "reason": f"{reason}that of the nominal bench.", "used": ["mu_grip"],
         "report": str(folder / "bench.html"),
-        "estimates": {key: [0.7, 0.012] for key in list(PARAMETERS)[::2]} | {"mu_grip": [0.7, 0.1]},
+        "estimates": {key: _estimate(key) for key in (*list(PARAMETERS)[::2], "mu_grip")},
     }  # fmt: skip
     wizard.identify.show_end(0, json.dumps(found))
     yield "identify-accepted"
     wizard.identify.close()
+
+
+def _estimate(key: str) -> list[float]:
+    """Return a value within the range of a parameter, and its uncertainty."""
+    *_, low, high = PARAMETERS[key]
+    return [0.7 * low + 0.3 * high, 0.02 * (high - low)]
+
+
+def _refuse(gripper: ScriptedDevice) -> None:
+    gripper.state = DeviceState.CLOSED
+    raise FaultError(Fault("GRIPPER-FORCE", "The gripper refuses a grip force of 10 N.",
+                           "Nothing moved.", "Raise its force limit, then press Retry.",
+                           "gripper"))  # fmt: skip
 
 
 def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:

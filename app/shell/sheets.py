@@ -99,7 +99,7 @@ class BenchSheet(QDialog):
         for button in (*foot, close):
             button.setAutoDefault(False)
         row, body = FlowLayout(*foot, (QWidget(), 1), close), QWidget()
-        vbox(*parts, parent=body, margins=(0, 0, 0, 0), spacing=spacing)
+        vbox(*parts, parent=body, margins=(0, 0, 8, 0), spacing=spacing)
         scroll = scroll_area(body)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         scroll.setSizeAdjustPolicy(QScrollArea.SizeAdjustPolicy.AdjustToContents)

@@ -20,7 +20,7 @@ OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
     (
         Outcome.ABORTED,
         "Void\N{HORIZONTAL ELLIPSIS}  4",
-        "The trial does not count; give the reason first",
+        "The trial is listed as aborted and counts as a failure; give the reason first",
     ),
 )
 

@@ -102,7 +102,7 @@ class DevicesSheet(BenchSheet):
             device = one.device
             grid.addWidget(field_label(one.title, editor), at, 1)
             grid.addWidget(editor, at, 2)
-        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setContentsMargins(0, 0, 8, 0)
         self._form.setLayout(grid)
         scroll = scroll_area(self._form)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)

@@ -301,11 +301,14 @@ class OffsetView(plots.PictureView):
         self._place_legend()
 
     def _place_legend(self) -> None:
-        """List the sources in the upper corner away from the face; at the left below "y (mm)"."""
+        """List the sources in the corner away from the face, clear of axis names and scale bar."""
         kinds = {ghost.kind for ghost in self.scene.ghosts} if self.scene else set()
-        left = bool(self.scene and self.scene.offset_mm and self.scene.offset_mm[0] > 0)
-        rect = self.area().rect
-        y = rect.top() + (1.3 * self.fontMetrics().height() if left else 4)
+        x_mm, y_mm = (self.scene.offset_mm if self.scene else None) or (0.0, 0.0)
+        left, rect, em = x_mm > 0, self.area().rect, self.fontMetrics().height()
+        y = rect.top() + (1.3 * em if left else 4)
+        if y_mm > 0:
+            rows = sum(self.legend[kind].sizeHint().height() for kind in kinds)
+            y = max(y, rect.bottom() - rows - 3.6 * em)
         width = max(box.sizeHint().width() for box in self.legend.values())
         x = rect.left() + 6 if left else rect.right() - 6 - width
         for kind, box in self.legend.items():
@@ -364,10 +367,6 @@ class OffsetView(plots.PictureView):
         draw_names(painter, area, self.scene, self._theme)
         if self.scene.ghosts and self.scene.offset_mm is not None:
             box, middle = self._label_at, self._label_at.center().y()
-            ground = self._theme.tokens.colour("bg")
-            ground.setAlphaF(0.85)
-            top = min(one.y() for one in self.legend.values() if one.isVisibleTo(self))
-            painter.fillRect(QRectF(QPointF(box.x() - 4, top), box.bottomRight()), ground)
             painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
             painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, tr("label"))
             painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))

@@ -50,9 +50,9 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     when = (
         f"{began:%H:%M:%S}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M:%S}"
     )
-    mark = f"{marks[run.uuid]}  " if run.uuid in marks else ""
+    mark = f"{marks[run.uuid]} " if run.uuid in marks else ""
     cells = (
-        f"{mark}{when}  {run.piece or '?'}",
+        f"{mark}{when} {run.piece or '?'}",
         tr("in use" if used else run.state),
         str(run.about.params.get("modality", "?")),
         _per_cent(run.value("iou", run.best_epoch)),

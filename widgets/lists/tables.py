@@ -247,10 +247,6 @@ class TrainingTable(FigureTable):
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.itemSelectionChanged.connect(self._tell)
 
-    def _fit_first(self) -> None:
-        """Elide the piece behind the time of a training instead of scrolling."""
-        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-
     def show_runs(self, rows: Sequence[TrainingRow]) -> None:
         """Replace the rows without calling ``chosen``; the selection is kept."""
         kept = self.chosen()

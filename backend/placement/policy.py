@@ -265,7 +265,7 @@ def shift_towards(
     reason += f" ({aim.why})" if aim.why else ""
     x, y = (f"{mm:+z.1f}".replace("-", "\N{MINUS SIGN}") for mm in step)
     reason += f": move {math.hypot(*step):.1f} mm (x {x}, y {y})"
-    reason += f", {distance_mm:.1f} mm wanted." if clipped else "."
+    reason += f" of the {distance_mm:.1f} mm to the target." if clipped else "."
     return PlaceAction("shift", step, aim.target_mm, clipped, reason)
 
 

@@ -21,7 +21,7 @@ from touchdown.widgets.base import ENTER, ROOT, ModelIndex, Theme, plain_table, 
 
 HEADS = ("No.", "Status", "Quality", "x, y (mm)", "Time")
 RIGHT = frozenset((0, 3, 4))
-WIDTHS_EM = (2.2, 4.5, 4.1, 5.0, 4.3)
+WIDTHS_EM = (2.1, 4.5, 4.1, 5.0, 4.05)
 QUALITY = 2
 ALIGN_LEFT = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
 ALIGN_RIGHT = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter

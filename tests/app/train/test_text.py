@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tests.app.conftest import settle
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.app.train.reading import TrainingReader
 from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question, run_row
@@ -13,7 +14,7 @@ from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
 from touchdown.widgets.base.theme import Theme, load_resources
 from touchdown.widgets.forms.training_form import TrainingForm
-from touchdown.widgets.lists.tables import FigureTable, TrainingRow, TrainingTable
+from touchdown.widgets.lists.tables import FigureTable, TrainingRow
 
 
 def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
@@ -131,10 +132,12 @@ def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
     assert heights[0] == heights[2] < heights[1]
 
 
-def test_the_table_of_trainings_fits_a_window_of_1280_px(qtbot):
-    table = TrainingTable(Theme(), lambda _: None)
-    qtbot.addWidget(table)
-    table.show_runs([TrainingRow("a", ("B 19:51:30 mushroom", "finished", "FT+Tac", "40.1"))])
-    table.resize(300, 200)
-    table.show()
+def test_the_table_of_trainings_fits_a_window_of_1280_px(live):
+    live.window.resize(1280, 720)
+    live.go("train")
+    settle(live)
+    table = live.workspaces["train"].page.runs
+    table.show_runs([TrainingRow("a", ("B 19:51:30 barrel", "finished", "FT+Tac", "40.1"))])
+    settle(live)
+    assert table.isVisible()
     assert table.horizontalScrollBar().maximum() == 0

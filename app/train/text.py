@@ -29,8 +29,8 @@ THIN_TEST = 100  # fewer held-out probes say little about a model
 NOTHING = "\N{EN DASH}"
 SETTINGS = {
     "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
-    "learning_rate": "rate", "schedule": "schedule", "epochs": "epochs", "patience": "patience",
-    "keep": "keeps", "batch": "batch", "validation_share": "held out",
+    "optimiser": "optimiser", "learning_rate": "rate", "schedule": "schedule", "epochs": "epochs",
+    "patience": "patience", "keep": "keeps", "batch": "batch", "validation_share": "held out",
     "divide_series": "divides series", "seed": "seed", "piece": "piece",
 }  # fmt: skip
 

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
     from touchdown.backend.learning import TrainingJob
 
-SWEPT = ("modality", "epochs", "batch", "learning_rate", "precision", "divide_series", "seed")
+SWEPT = (
+    "modality", "epochs", "batch", "optimiser", "learning_rate", "precision", "divide_series",
+    "seed",
+)  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs", type=int, default=usual.epochs, help="epochs; the best weights are kept"
     )
     parser.add_argument("--batch", type=int, default=usual.batch, help="episodes a step")
+    parser.add_argument(
+        "--optimiser", choices=("Adam", "Muon"), default=usual.optimiser,
+        help="Muon, with --learning-rate 2e-3 --epochs 6, reaches the validation loss of 20 epochs "
+        "of Adam",
+    )  # fmt: skip
     parser.add_argument(
         "--learning-rate", type=float, help="step of the optimiser (default: 1e-3, --from: 1e-4)"
     )

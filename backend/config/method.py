@@ -249,6 +249,8 @@ class TrainingSettings(Settings):
     modality: Literal["FT", "Tac", "FT+Tac"] = "FT+Tac"
     hidden: Annotated[int, Field(ge=1, le=4096)] = 256  # units per LSTM layer [P]
     layers: Annotated[int, Field(ge=1, le=8)] = 2  # LSTM layers [P]
+    # Muon (arXiv 2502.16982) moves the matrices of the LSTM layers by orthogonal steps [U].
+    optimiser: Literal["Adam", "Muon"] = "Adam"
     learning_rate: Annotated[float, Field(gt=0, le=1000)] = 1e-3
     # Learning rate over the epochs [U]. A rate falling to zero gave a lower validation loss (0.377
     # in 14 epochs) than a constant one (0.400, best of 20) on 1,500 pot probes.

@@ -322,7 +322,6 @@ def make_card(
         },
         training={
             **settings.model_dump(),
-            "optimiser": "Adam",
             "torch": torch.__version__,
             "device": device_name(trainer.device),
         },

@@ -1,8 +1,8 @@
-"""Training of the patch network in torch: model, Adam, device, resumable state.
+"""Training of the patch network in torch: model, optimisers, device, resumable state.
 
-Adam: Kingma and Ba 2015, arXiv 1412.6980. The network has two LSTM layers; the last time step gives
-one logit per face point. A training is a generator of epochs; resuming from its saved state is
-exact.
+Adam: Kingma and Ba 2015, arXiv 1412.6980. Muon: Liu et al. 2025, arXiv 2502.16982. The network has
+two LSTM layers; the last time step gives one logit per face point. A training is a generator of
+epochs; resuming from its saved state is exact.
 """
 
 from __future__ import annotations
@@ -158,7 +158,8 @@ class Adam:
     @torch.no_grad()
     def step(self) -> None:
         """Update every weight; each must have a gradient."""
-        means, squares, steps = ([kept[name] for kept in self.moments] for name in MOMENTS)
+        own = self.moments[: len(self._parameters)]
+        means, squares, steps = ([kept[name] for kept in own] for name in MOMENTS)
         gradients = [p.grad for p in self._parameters if p.grad is not None]
         # Fused: one pass over the weights, a quarter of the time of a step on a CPU.
         adam(
@@ -169,8 +170,55 @@ class Adam:
     def take_up(self, moments: Iterable[Mapping[str, Tensor]]) -> None:
         """Set the moments; raises ``KeyError`` or ``RuntimeError`` if they do not fit."""
         for kept, given in zip(self.moments, moments, strict=True):
-            for name in MOMENTS:
+            for name in kept:
                 kept[name].copy_(given[name])
+
+
+# Coefficients, momentum and length of the steps of Muon (arXiv 2502.16982, equations 2 and 7).
+NEWTON_SCHULZ, NEWTON_SCHULZ_STEPS = (3.4445, -4.7750, 2.0315), 5
+MOMENTUM, LENGTH = 0.95, 0.2
+
+
+def orthogonalised(matrix: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return about the nearest matrix with singular values of 1, by products in ``dtype``."""
+    x = (matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T).to(dtype)
+    x = x / x.norm().clamp(min=1e-7)
+    a, b, c = NEWTON_SCHULZ
+    for _ in range(NEWTON_SCHULZ_STEPS):
+        square = x @ x.T
+        x = torch.addmm(x, torch.addmm(square, square, square, beta=b, alpha=c), x, beta=a)
+    return (x if matrix.shape[0] <= matrix.shape[1] else x.T).to(matrix.dtype)
+
+
+class MuonAdam(Adam):
+    """Muon for ``matrices``, with steps as long as those of Adam; Adam for ``parameters``."""
+
+    def __init__(
+        self,
+        matrices: Iterable[Tensor],
+        parameters: Iterable[Tensor],
+        rate: float,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__(parameters, rate)
+        self._matrices, self._dtype = list(matrices), dtype
+        self.moments += [{"momentum": torch.zeros_like(matrix)} for matrix in self._matrices]
+
+    def zero_grad(self) -> None:
+        """Clear the gradients."""
+        super().zero_grad()
+        for matrix in self._matrices:
+            matrix.grad = None
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Update every weight; each must have a gradient."""
+        super().step()
+        for matrix, kept in zip(self._matrices, self.moments[-len(self._matrices) :], strict=True):
+            if (gradient := matrix.grad) is not None:
+                kept["momentum"].lerp_(gradient, 1 - MOMENTUM)
+                update = orthogonalised(gradient.lerp(kept["momentum"], MOMENTUM), self._dtype)
+                matrix.sub_(update, alpha=self.rate * LENGTH * math.sqrt(max(matrix.shape)))
 
 
 CPU = torch.device("cpu")
@@ -222,7 +270,7 @@ class Trainer:
         self.model: PatchNet = new_model(shape, settings.seed).to(device)
         parts = (rows.inputs(index) for index in in_batches(train))
         self.model.set_normaliser(fit_normaliser_in_parts(parts, settings.modality))
-        self.optimiser: Adam = Adam(self.model.parameters(), settings.learning_rate)
+        self.optimiser: Adam = _optimiser(self.model, settings)
         self.base_rate: float = float(rows.patch[train].mean())
         self.done: int = 0
         self.best_epoch, self.best_loss = 0, float("inf")
@@ -316,6 +364,16 @@ class Trainer:
     def _weights(self) -> dict[str, Tensor]:
         state = self.model.state_dict()
         return {name: tensor.to("cpu", copy=True) for name, tensor in state.items()}
+
+
+def _optimiser(model: PatchNet, settings: TrainingSettings) -> Adam:
+    rate = settings.learning_rate
+    if settings.optimiser == "Adam":
+        return Adam(model.parameters(), rate)
+    named = list(model.named_parameters())
+    inner = {name for name, weight in named if weight.dim() == 2 and name.startswith("lstm.")}
+    matrices, others = ([w for n, w in named if (n in inner) is chosen] for chosen in (True, False))
+    return MuonAdam(matrices, others, rate, getattr(torch, settings.precision))
 
 
 def in_batches(index: NDArray[np.int64], size: int = EPISODES_PER_PASS) -> list[NDArray[np.int64]]:

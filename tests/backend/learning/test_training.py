@@ -31,6 +31,7 @@ from touchdown.backend.learning import (
 from touchdown.backend.learning.inference import Modality, channel_groups, fit_normaliser_in_parts
 from touchdown.backend.learning.training import (
     Adam,
+    MuonAdam,
     computes_bfloat16,
     load_training_state,
     new_model,
@@ -68,6 +69,37 @@ def test_steps_follow_the_formula_and_go_on_from_kept_moments() -> None:
         assert parameter.grad is None
     reached = parameter.detach().numpy()
     np.testing.assert_allclose(reached, by_formula(start, gradients), rtol=0, atol=2e-6)
+
+
+def test_muon_follows_that_of_torch_and_goes_on_from_kept_moments() -> None:
+    rng = np.random.default_rng(3)
+    for shape in ((6, 4), (4, 6)):
+        start, gradients = rng.normal(size=shape), [rng.normal(size=shape) for _ in range(6)]
+        ours, theirs = (torch.nn.Parameter(torch.tensor(start)) for _ in range(2))
+        own = MuonAdam([ours], [], RATE, torch.bfloat16)
+        reference = torch.optim.Muon([theirs], RATE, 0.0, adjust_lr_fn="match_rms_adamw")
+        for number, gradient in enumerate(gradients):
+            if number == 3:
+                again = MuonAdam([ours], [], RATE, torch.bfloat16)
+                again.take_up(own.moments)
+                own = again
+            ours.grad, theirs.grad = torch.tensor(gradient), torch.tensor(gradient)
+            own.step()
+            reference.step()
+            own.zero_grad()
+            assert ours.grad is None
+        moved = np.abs(theirs.detach().numpy() - start).max()
+        np.testing.assert_allclose(ours.detach(), theirs.detach(), rtol=0, atol=0.01 * moved)
+
+
+def test_muon_moves_the_matrices_of_the_lstm_layers_only() -> None:
+    muon = SMALL.model_copy(update={"optimiser": "Muon"})
+    trainer = Trainer(rows(24), muon)
+    by_muon = [kept["momentum"].shape for kept in trainer.optimiser.moments if "momentum" in kept]
+    assert by_muon == [p.shape for p in trainer.model.lstm.parameters() if p.dim() == 2]
+    before = {name: p.detach().clone() for name, p in trainer.model.named_parameters()}
+    next(trainer.epochs())
+    assert all(not p.equal(before[name]) for name, p in trainer.model.named_parameters())
 
 
 def test_a_training_does_not_load_the_compiler_of_torch() -> None:
@@ -216,16 +248,17 @@ def test_coarse_products_train_float32_weights_to_nearly_the_same_loss() -> None
 
 
 @pytest.mark.promise("W14")
-def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
-    data = rows(24)
+@pytest.mark.parametrize("optimiser", ["Adam", "Muon"])
+def test_resume_equals_uninterrupted_bit_for_bit(tmp_path: Path, optimiser: str) -> None:
+    data, small = rows(24), SMALL.model_copy(update={"optimiser": optimiser})
     name = fingerprint(data)
-    whole = Trainer(data, SMALL)
+    whole = Trainer(data, small)
     expected = list(whole.epochs())
 
-    first = Trainer(data, SMALL)
+    first = Trainer(data, small)
     got = list(itertools.islice(first.epochs(), 2))
     save_training_state(tmp_path / "a.resume.safetensors", first, name)
-    second = Trainer(data, SMALL)
+    second = Trainer(data, small)
     load_training_state(tmp_path / "a.resume.safetensors", second, name)
     got += list(second.epochs())
 

@@ -13,6 +13,7 @@ TESTS ?= tests
 WORKERS ?= 2
 MINUTES ?= 10
 GROUP ?=
+SINCE ?=
 PART ?=
 TO ?= de
 # Where so much is free in memory, tests write there: they flush thousands of small files.
@@ -70,8 +71,9 @@ format: setup ## rewrite the sources in the house style
 	@$(BIN)/ruff check --fix-only --quiet .
 	@$(BIN)/ruff format .
 
-bench: setup ## measure every figure and write docs/measured.md (GROUP=name for one group)
-	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run --save $(GROUP)
+bench: setup ## measure the figures and write docs/measured.md (GROUP=name: one group, also long ones; SINCE=date: resume)
+	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m tests.bench.run --save \
+	    $(if $(SINCE),--since $(SINCE)) $(GROUP)
 
 campaign: setup ## strike every device and process 600 times (40 min; resumes; PART=shards: kill workers)
 	@QT_QPA_PLATFORM=offscreen OMP_NUM_THREADS=1 $(BIN)/python -m \

@@ -17,6 +17,7 @@ def empty(monkeypatch):
     monkeypatch.setattr(run, "MODULES", ())
     monkeypatch.setattr("tests.bench.figures.REGISTER", {})
     monkeypatch.setattr(run, "REGISTER", {})
+    monkeypatch.setattr(run, "LONG", set())
 
 
 def _register(monkeypatch, **measures):
@@ -61,6 +62,44 @@ def test_groups_and_figures_are_chosen_by_name(name, monkeypatch, capsys):
     )
     assert run.main([name, "--json"]) == 0
     assert [f["name"] for f in json.loads(capsys.readouterr().out)["figures"]] == ["second"]
+
+
+def test_long_measurements_run_by_name_only(monkeypatch, capsys):
+    _register(
+        monkeypatch,
+        a=lambda: [Figure("first", 1.0, "", "", True)],
+        b=lambda: [Figure("second", 1.0, "", "", True)],
+    )
+    run.LONG.add("b")
+    for words, expected in (([], "first"), (["b"], "second"), (["group b"], "second")):
+        assert run.main([*words, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)["figures"]
+        assert [f["name"] for f in found] == [expected]
+    assert run.main([]) == 0
+    assert "Measured by name only: b." in capsys.readouterr().out
+
+
+def test_an_interrupted_run_keeps_what_it_measured_and_goes_on(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(figures, "DATA", tmp_path / "measured.json")
+    monkeypatch.setattr(figures, "PAGE", tmp_path / "measured.md")
+    old = figures.records_of("group b", "b", [Figure("second", 1.0, "", "", True)])
+    content = {"format": figures.FORMAT, "figures": old}  # without its time
+    (tmp_path / "measured.json").write_text(json.dumps(content), "utf-8")
+    (tmp_path / "measured.md").write_text("<!-- figures -->\n\n<!-- end -->", "utf-8")
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    _register(monkeypatch, a=lambda: [Figure("first", 1.0, "", "", True)], b=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.main(["--save"])
+    today = figures.read_records()[0]["date"]
+    _register(monkeypatch, a=interrupted, b=lambda: [Figure("second", 2.0, "", "", True)])
+    assert run.main(["--save", "--since", today]) == 0
+    assert [r["value"] for r in figures.read_records()] == [2.0, 1.0]
+    assert run.main(["--save", "--since", today]) == 0
+    with pytest.raises(KeyboardInterrupt):
+        run.main(["--since", "2999-01-01"])
 
 
 def test_two_figures_of_one_name_are_a_defect():

@@ -472,7 +472,7 @@ STATE_STOPS, TROUBLES, WIRE_MS = 20, 26, 20.0
 MODES = ("software", "controller")
 
 
-@figure("faults")
+@figure("faults", long=True)
 def stops_in_every_state(stops: int = STATE_STOPS) -> list[Figure]:
     """From STOP to the emulated controller, in each state; what went on all the same."""
     return _stop_figures("STOP in every state", STATES, stops)

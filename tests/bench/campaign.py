@@ -585,7 +585,7 @@ def summary(rows: Sequence[Row]) -> list[Figure]:
     return found
 
 
-@figure("faults")
+@figure("faults", long=True)
 def sample_of_the_fault_campaign() -> list[Figure]:
     """Strikes of every bench and device, spread over the campaign."""
     strikes = plan()

@@ -224,7 +224,7 @@ def training_cache() -> list[Figure]:
     ]  # fmt: skip
 
 
-@figure("store")
+@figure("store", long=True)
 def two_hundred_kills() -> list[Figure]:
     """SIGKILL while episodes and labels are recorded: count lost acknowledged ones."""
     with scratch() as folder:
@@ -466,7 +466,7 @@ def _browsing(folder: Path) -> tuple[float, float, dict[str, list[float]]]:
     return open_s, first, queries
 
 
-@figure("catalogue")
+@figure("catalogue", long=True)
 def catalogue_of_simulated_episodes() -> list[Figure]:
     """Simulate a large catalogue, index it, browse it and stream it to training.
 

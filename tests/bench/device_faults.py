@@ -385,7 +385,7 @@ def _row(name: str, took_ms: Times, most_ms: float) -> Figure:
 # -- wrist sensors --------------------------------------------------------------------------------
 
 
-@figure("faults")
+@figure("faults", long=True)
 def plugs_of_wrist_sensors(pulls: int = PULLS, lifts: int = LIFTS) -> list[Figure]:
     """The terminal of each serial sensor is closed in mid-stream; the same in contact."""
     if sys.platform == "win32":
@@ -531,7 +531,7 @@ def _camera(stand_in: bool) -> Iterator[tuple[TactileCamera, GelsightServer]]:
         yield driver, front
 
 
-@figure("faults")
+@figure("faults", long=True)
 def plugs_of_cameras(replugs: int = REPLUGS) -> list[Figure]:
     """A camera is unplugged and comes back: emulated, and a stand-in for what OpenCV has of one."""
     if sys.platform == "win32":

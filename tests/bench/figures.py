@@ -87,15 +87,21 @@ def paired(
 
 Measure = Callable[[], list[Figure]]
 REGISTER: dict[str, tuple[str, Measure]] = {}
+LONG: set[str] = set()
 
 
-def figure(group: str) -> Callable[[Measure], Measure]:
-    """Register a function that measures one or more figures; ``group`` selects it by name."""
+def figure(group: str, *, long: bool = False) -> Callable[[Measure], Measure]:
+    """Register a function that measures one or more figures; ``group`` selects it by name.
+
+    A ``long`` one takes many minutes, or is a study: it only runs if it or its group is named.
+    """
 
     def register(measure: Measure) -> Measure:
         if measure.__name__ in REGISTER:
             raise ValueError(f"two figures are called {measure.__name__}")
         REGISTER[measure.__name__] = (group, measure)
+        if long:
+            LONG.add(measure.__name__)
         return measure
 
     return register

@@ -67,7 +67,7 @@ def late_ms(priority: Callable[[], AbstractContextManager[bool]], used: bool) ->
     return 1e3 * float(np.percentile(found, 99))
 
 
-@figure("machinery")
+@figure("machinery", long=True)
 def priorities() -> list[Figure]:
     """Lateness of a thread beside two busy programs, and late cycles of the arm's stream."""
     rows = []
@@ -124,7 +124,7 @@ def stopped_s(_: bool) -> float:
     return time.monotonic() - begun_s
 
 
-@figure("machinery")
+@figure("machinery", long=True)
 def watchdogs() -> list[Figure]:
     """False alarms during announced waits, and the time until a hang is recognised."""
     return [
@@ -133,7 +133,7 @@ def watchdogs() -> list[Figure]:
     ]
 
 
-@figure("machinery")
+@figure("machinery", long=True)
 def the_window() -> list[Figure]:
     """Decisions beside the window, full collections of garbage, and gaps of the window's ticks."""
     found = measured_window("machinery")

@@ -470,7 +470,7 @@ class Trial:
         return True
 
 
-@figure("faults")
+@figure("faults", long=True)
 def standstill_after_the_last_renewal(
     stalled: int = STALLED, lost: int = LOST, stopped: int = STOPPED, killed: int = KILLED
 ) -> list[Figure]:

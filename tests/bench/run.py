@@ -1,8 +1,10 @@
 """Print every figure next to its target: ``make bench``.
 
-``python -m tests.bench.run [name ...] [--json] [--save]`` measures the named groups or figures only
-and prints each as it comes; a whole group may take an hour. ``--save`` stores the results and
-renders ``docs/measured.md``. Exit code 0 if every measured figure meets its target, else 1.
+``python -m tests.bench.run [name ...] [--json] [--save] [--since DATE]`` measures the named groups
+or figures only and prints each as it comes. Without names, long measurements are left out.
+``--save`` stores the results of each measurement when it ends and renders ``docs/measured.md``, so
+that ``--since`` can resume: it leaves out what was stored with its time on or after that day. Exit
+code 0 if every measured figure meets its target, else 1.
 """
 
 import argparse
@@ -15,7 +17,7 @@ from dataclasses import asdict
 from rich.table import Table
 from rich.text import Text
 
-from tests.bench.figures import REGISTER, Figure, Record, records_of, save
+from tests.bench.figures import LONG, REGISTER, Figure, read_records, records_of, save
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core.faults import TouchdownError
 
@@ -42,17 +44,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("names", nargs="*", metavar="name", help=told)
     parser.add_argument("--json", action="store_true", help="one JSON object and nothing else")
     parser.add_argument("--save", action="store_true", help="store and render the results")
+    parser.add_argument("--since", default="", metavar="DATE", help="leave out what is stored with "
+                        "its time and was measured on this day (YYYY-MM-DD) or later")  # fmt: skip
     args = parser.parse_args(argv)
     if unknown := sorted(set(args.names) - set(groups) - set(REGISTER)):
         parser.error(f"there is no group {', '.join(unknown)}; there are {', '.join(groups)}")
     wanted = {
         name: (group, measure)
         for name, (group, measure) in REGISTER.items()
-        if not args.names or {name, group} & set(args.names)
+        if {name, group} & set(args.names) or (not args.names and name not in LONG)
     }
+    if args.since:
+        for record in read_records():
+            if record["date"] >= args.since and "seconds" in record:
+                wanted.pop(record["measure"], None)
     screen = VerbOutput(json=args.json)
     figures: list[Figure] = []
-    records: list[Record] = []
     with screen.progress("Measuring", len(wanted)) as advance:
         for done, (name, (group, measure)) in enumerate(wanted.items()):
             advance(done, name.replace("_", " "))
@@ -62,15 +69,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             except TouchdownError as error:
                 found = [Figure(name, None, "", "", ok=False, note=str(error))]
             figures += found
-            records += records_of(group, name, found, time.monotonic() - begun_s)
+            if args.save:
+                save(records_of(group, name, found, time.monotonic() - begun_s))
             for one in found:
                 screen.say(f"{one.name}: {measured(one)} ({WORDS[one.ok].plain})")
         advance(len(wanted))
-    if args.save:
-        save(records)
     screen.show(table(figures))
     missed = [figure for figure in figures if figure.ok is False]
     screen.say(f"{len(figures)} figures, {len(missed)} missed.")
+    if not args.names and LONG:
+        screen.say(f"Measured by name only: {', '.join(sorted(LONG))}.")
     screen.result({"figures": [asdict(figure) for figure in figures]})
     return 1 if missed else 0
 

@@ -49,7 +49,7 @@ def window_at_full_load() -> list[Figure]:
     ]
 
 
-@figure("window")
+@figure("window", long=True)
 def decisions_beside_the_window() -> list[Figure]:
     """Let the live bench stack beside the window for some 100 decisions."""
     name = "decision latency beside the window"
@@ -66,7 +66,7 @@ def decisions_beside_the_window() -> list[Figure]:
     ]
 
 
-@figure("window-soak")
+@figure("window-soak", long=True)
 def window_for_half_an_hour() -> list[Figure]:
     """Let the window show 30 simulated minutes of stacking, all pages in turn."""
     answer = _child("soak", SOAK_S)

@@ -136,7 +136,7 @@ def compare(trials: int = TRIALS) -> list[Figure]:
     ]
 
 
-@figure("wired")
+@figure("wired", long=True)
 def emulated_beside_simulated() -> list[Figure]:
     return compare()
 
@@ -317,7 +317,7 @@ def busy_runs(
     return found
 
 
-@figure("load")
+@figure("load", long=True)
 def runs_beside_busy_processes() -> list[Figure]:
     tree = Path(__file__).resolve().parents[2]
     runs = busy_runs(BUSY_RUNS, BUSY, tree)

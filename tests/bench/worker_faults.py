@@ -128,7 +128,7 @@ def worst(
     return at_most(name, values[case], unit, most, told)
 
 
-@figure("faults")
+@figure("faults", long=True)
 def quitting_asked_for_by_workers(asked: int = ASKED) -> list[Figure]:
     """Each kind of thread requests the end of the program: time until the process has ended."""
     took_s: list[tuple[float, str]] = []
@@ -406,7 +406,7 @@ def camera_that_blocks_beside_a_window() -> list[Figure]:
     ]  # fmt: skip
 
 
-@figure("faults")
+@figure("faults", long=True)
 def exceptions_of_every_kind() -> list[Figure]:
     """In a slot, a timer, a paint event, a thread and a queued call: once, then at every tick."""
     kinds: Measured = measured_window("exceptions")["kinds"]
@@ -533,7 +533,7 @@ class ShardWorker:
             self.start()
 
 
-@figure("shards")
+@figure("shards", long=True)
 def fifty_killed_workers() -> list[Figure]:
     """Kill 50 workers of a sharded simulation, two times each; compare with one process."""
     with tempfile.TemporaryDirectory() as name:

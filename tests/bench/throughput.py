@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
 import tarfile
@@ -94,30 +95,32 @@ def command_line_start() -> list[Figure]:
     return [Figure("touchdown --version", value, "s", "< 1 (own)", ok=value < 1)]
 
 
-def _simulate(package: str, checkout: Path, episodes: int = 2000) -> tuple[float, float]:
+def _simulate(package: str, checkout: Path, episodes: int = 2000) -> tuple[float, float, float]:
     """Simulate the pot on three bottoms by the command ``package`` of ``checkout``.
 
-    Returns the time that the command prints, and that of the whole process, in s.
+    Returns the time that the command prints, that of the whole process, and the processor time of
+    all its processes, in s.
     """
     words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15", "--json"]
     given = {**os.environ, "PYTHONPATH": str(checkout)}
     given.pop("PYTHONDONTWRITEBYTECODE", None)  # an unpacked version is compiled once only
     with tempfile.TemporaryDirectory() as folder:
-        begun_s = time.perf_counter()
+        begun_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run(
             [sys.executable, "-m", package, *words, "--episodes", str(episodes), "--out", folder],
             check=True, capture_output=True, text=True, cwd=checkout, env=given,
         )  # fmt: skip
-        took_s = time.perf_counter() - begun_s
+        took_s, after = time.perf_counter() - begun_s, resource.getrusage(resource.RUSAGE_CHILDREN)
     answer = json.loads(done.stdout)
     assert answer["episodes"] == 3 * episodes, answer
-    return answer["seconds"], took_s
+    spent_s = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return answer["seconds"], took_s, spent_s
 
 
 @figure("simulation")
 def six_thousand_episodes() -> list[Figure]:
     """Time for 6,000 episodes of the Pot on two processes, without images."""
-    seconds, _ = _simulate("touchdown", ROOT)
+    seconds, _, _ = _simulate("touchdown", ROOT)
     return [Figure("6,000 episodes of the pot", seconds, "s", "<= 60 (goal 20)", seconds <= 60)]
 
 
@@ -128,7 +131,10 @@ BEFORE = "3d1bd4779040794ac2dea4eeb564b3c250cf78c0"
 @figure("peers")
 def simulation_of_the_version_before() -> list[Figure]:
     """6,000 episodes by two processes, beside an earlier version out of the history."""
-    name = f"6,000 episodes of the pot / the same by version {BEFORE[:8]}, time"
+    name, spent = (
+        f"6,000 episodes of the pot / the same by version {BEFORE[:8]}, {what}"
+        for what in ("time", "processor time")
+    )
     with tempfile.TemporaryDirectory() as folder:
         packed = Path(folder) / "before.tar"
         words = ["git", "archive", "--output", str(packed), BEFORE, "backend", "resources"]
@@ -139,8 +145,19 @@ def simulation_of_the_version_before() -> list[Figure]:
         with tarfile.open(packed) as archive:
             archive.extractall(before, filter="data")
         _simulate("backend", before, 1)  # compiles it
-        return [paired(name, lambda: _simulate("touchdown", ROOT)[1],
-                       lambda: _simulate("backend", before)[1], 0.9)]  # fmt: skip
+        times: dict[str, list[tuple[float, float, float]]] = {"touchdown": [], "backend": []}
+        found = paired(name, lambda: _kept(times, "touchdown", ROOT),
+                       lambda: _kept(times, "backend", before), 0.9)  # fmt: skip
+    own, other = (np.array([one[2] for one in times[package]]) for package in times)
+    note = f"{min(own / other):.3g} to {max(own / other):.3g} in {len(own)} pairs; "
+    note += f"{np.median(own):.4g} beside {np.median(other):.4g} s"
+    return [found, stated(spent, float(np.median(own / other)), "", note)]
+
+
+def _kept(times: dict[str, list[tuple[float, float, float]]], package: str, at: Path) -> float:
+    """Simulate, add the times to ``times``, and return that of the whole process."""
+    times[package].append(_simulate(package, at))
+    return times[package][-1][1]
 
 
 PROBES = 30

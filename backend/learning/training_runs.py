@@ -254,7 +254,7 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     batch : int
         Episodes per step.
     optimiser : {"Adam", "Muon"}
-        Muon with a learning rate of 2e-3 needs fewer epochs than Adam.
+        Muon with a learning rate of 3e-3 needs fewer epochs than Adam.
     learning_rate : float, optional
         Step size of the optimiser (default: 1e-4 with ``pretrained``, else 1e-3).
     pretrained : Path or str, optional

@@ -202,15 +202,11 @@ def pack_pose(stamps_ns: Times, position_mm: FloatArray) -> ByteRows:
 
 def pack_observation(stamps_ns: Times, values: NDArray[np.float32]) -> ByteRows:
     """Pack ``Observation``: ``values`` (n, channels) for the steps 0, 1, ... n - 1."""
-    rows = _repeat(_observation_template(values.shape[1]), stamps_ns)
+    template = cdr("hIq", (0, OBSERVATION_TOPIC.frame_id), 0, np.zeros(values.shape[1], "<f4"))
+    rows = _repeat(template, stamps_ns)
     _fill(rows, 4 + 4 * values.shape[1], np.arange(len(values), dtype="<u4"))
     _fill(rows, 0, values.astype("<f4"))
     return rows
-
-
-@lru_cache
-def _observation_template(channels: int) -> bytes:
-    return cdr("hIq", (0, OBSERVATION_TOPIC.frame_id), 0, np.zeros(channels, "<f4"))
 
 
 def _by_axis(points: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from touchdown.backend.annotations import (
     ActiveRun,
@@ -219,7 +219,6 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
     modality: Modality | None = None,
     seed: int = 0,
     batch: int = _DEFAULTS.batch,
-    optimiser: Literal["Adam", "Muon"] = _DEFAULTS.optimiser,
     learning_rate: float | None = None,
     pretrained: Path | str | None = None,
     mix: Path | str | None = None,
@@ -253,8 +252,6 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
         Seed of the initial weights, the order of the episodes and the split.
     batch : int
         Episodes per step.
-    optimiser : {"Adam", "Muon"}
-        Muon with a learning rate of 3e-3 needs fewer epochs than Adam.
     learning_rate : float, optional
         Step size of the optimiser (default: 1e-4 with ``pretrained``, else 1e-3).
     pretrained : Path or str, optional
@@ -299,7 +296,6 @@ def train_model(  # noqa: PLR0913 - each is a keyword of the public API
         "modality": modality,
         "epochs": epochs,
         "batch": batch,
-        "optimiser": optimiser,
         "learning_rate": learning_rate,
         "divide_series": divide_series,
         "seed": seed,

@@ -61,14 +61,16 @@ class MarkingLoader(SourceFileLoader):
 
     def get_code(self, fullname: str) -> CodeType:
         source = self.get_data(self.path)
-        kept = COMPILED / hashlib.sha256(VERSION + self.path.encode() + source).hexdigest()
-        if kept.is_file():
-            code: CodeType = marshal.loads(kept.read_bytes())
+        digest = hashlib.sha256(VERSION + source).digest()
+        kept = COMPILED / hashlib.sha256(self.path.encode()).hexdigest()
+        held = kept.read_bytes() if kept.is_file() else b""
+        if held.startswith(digest):
+            code: CodeType = marshal.loads(held[len(digest) :])
             return code
         code = compile(marked(source), self.path, "exec", dont_inherit=True)
         COMPILED.mkdir(parents=True, exist_ok=True)
         new = kept.with_suffix(f".{os.getpid()}")
-        new.write_bytes(marshal.dumps(code))
+        new.write_bytes(digest + marshal.dumps(code))
         new.replace(kept)
         return code
 

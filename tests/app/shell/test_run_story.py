@@ -351,7 +351,9 @@ def test_a_bench_that_stands_still_is_drawn_less_often_until_something_moves(liv
     live.pump.tick()
     assert live.pump._timer.interval() == 100
     if what == "markers":
-        bench.press = 0.05  # the fastest marker moves by 0.35 px
+        field = bench.fields["right"].newest()
+        moved = replace(field, position_px=field.position_px + 0.31)
+        bench.fields["right"].put(bench.clock_s(), moved)
     elif what == "wrench":
         values = np.tile([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], (40, 1))
         bench.wrench.put(bench.clock_s() + 0.001 * np.arange(40), values)
@@ -359,8 +361,6 @@ def test_a_bench_that_stands_still_is_drawn_less_often_until_something_moves(liv
         bench.set_state(RunState.RUNNING)
     else:
         bench.hand = SimpleNamespace(active=True)
-    if what == "markers":
-        bench.turn(0.04)
     assert not shown.calm()
     bench.set_state(RunState.IDLE)
     bench.hand = None

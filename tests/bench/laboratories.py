@@ -685,10 +685,11 @@ def own_outcomes(how: Adaptation) -> list[str]:
     return outcomes(how, load_simulation(preset=how.own), how.shipped)
 
 
-def comes_back(place: str, out: Path) -> dict[str, Any]:
+def comes_back(place: str, out: Path, trials: int | None = None) -> dict[str, Any]:
     """Adapt the shipped networks to a laboratory, by its seed, or to the second world.
 
-    Trials on the bench of their training, and in the place before and after.
+    Trials on the bench of their training, and in the place before and after. ``trials``: of each
+    piece and bottom, in place of the usual number.
     """
     use_one_thread()
     folder, began_s, times = out / f"adapted-{place}", time.process_time(), {}
@@ -696,6 +697,7 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
     bench, labels = folder / "bench.toml", None
     if place == SECOND_WORLD:
         how, world, labels = SECOND_ADAPTATION, place, folder / "labels"
+        how = replace(how, trials=trials or how.trials)
         there = load_simulation(preset=how.own)
         recordings = recorded_elsewhere(there, 1)
         found = identify_bench(recordings, there, load_pieces(), folder / "stages")
@@ -709,6 +711,7 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
             label_elsewhere(there, how.labels, labels, KNOWN.split(","))
     else:
         how, world = HIDDEN_ADAPTATION, "bench"
+        how = replace(how, trials=trials or how.trials)
         there, _ = draw_laboratory(int(place), drivers=True)
         # From recordings through the drivers if there are some
         names = f"laboratory-{place}-drivers.json", f"laboratory-{place}.json"
@@ -722,7 +725,9 @@ def comes_back(place: str, out: Path) -> dict[str, Any]:
     facts["training"] = load_fused(network).card.metrics
     times["train"] = time.process_time() - began_s
     sys.stderr.write(f"{facts}, {times}\n")
-    after = kept(folder / "after.json", lambda: outcomes(how, there, str(network), world))
+    after = kept(
+        folder / f"after-{how.trials}.json", lambda: outcomes(how, there, str(network), world)
+    )
     before = outcomes_before(how, there, world, folder)
     times["trials"] = time.process_time() - began_s
     return {
@@ -736,8 +741,10 @@ def outcomes_before(
 ) -> tuple[list[str], list[str]]:
     """Return the outcomes on the bench of the networks, and in the place before their training."""
     return (
-        kept(folder / "own.json", lambda: own_outcomes(how)),
-        kept(folder / "before.json", lambda: outcomes(how, there, how.shipped, world)),
+        kept(folder / f"own-{how.trials}.json", lambda: own_outcomes(how)),
+        kept(
+            folder / f"before-{how.trials}.json", lambda: outcomes(how, there, how.shipped, world)
+        ),
     )
 
 
@@ -770,6 +777,7 @@ def main() -> int:
                         "shipped networks in the laboratories")  # fmt: skip
     parser.add_argument("--comes-back", metavar="PLACE", help="success after an adaptation to a "
                         f"laboratory, by its seed, or to {SECOND_WORLD}")  # fmt: skip
+    parser.add_argument("--trials", type=int, help="of each piece and bottom for --comes-back")
     parser.add_argument("--keep", action="store_true", help="keep the recordings, 100 MB each")
     args = parser.parse_args()
     if args.curves is not None:
@@ -779,7 +787,7 @@ def main() -> int:
             write_atomically(DATA.parent / f"learning-curves-{name}.svg", picture.encode())
         return 0
     if args.comes_back is not None:
-        of = with_result(COMES_BACK, comes_back(args.comes_back, args.out))
+        of = with_result(COMES_BACK, comes_back(args.comes_back, args.out, args.trials))
         save_result(COMES_BACK, {"of": of})
         return 0
     if args.active is not None:

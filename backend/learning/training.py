@@ -373,7 +373,8 @@ def _optimiser(model: PatchNet, settings: TrainingSettings) -> Adam:
     named = list(model.named_parameters())
     inner = {name for name, weight in named if weight.dim() == 2 and name.startswith("lstm.")}
     matrices, others = ([w for n, w in named if (n in inner) is chosen] for chosen in (True, False))
-    return MuonAdam(matrices, others, rate, getattr(torch, settings.precision))
+    coarse = computes_bfloat16(matrices[0].device)  # suffices for directions of equal length
+    return MuonAdam(matrices, others, rate, torch.bfloat16 if coarse else torch.float32)
 
 
 def in_batches(index: NDArray[np.int64], size: int = EPISODES_PER_PASS) -> list[NDArray[np.int64]]:

@@ -414,7 +414,7 @@ class PlainLoop:
         return float(self.criterion(logits, self.targets[self.split.held_out]))
 
 
-PLAIN_EPOCHS, OWN_EPOCHS, PROBES_A_BOTTOM = 12, 7, 1000
+PLAIN_EPOCHS, OWN_EPOCHS, PROBES_A_BOTTOM = 12, 5, 1000
 
 
 @figure("peers")

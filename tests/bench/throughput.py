@@ -102,7 +102,8 @@ def _simulate(package: str, checkout: Path, episodes: int = 2000) -> tuple[float
     Returns the time that the command prints, that of the whole process, and the processor time of
     all its processes, in s.
     """
-    words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15", "--json"]
+    words = ["simulate", "--piece", "pot", "--bottoms", "circle15,circle25,square15", "--json",
+             "--episodes", str(episodes)]  # fmt: skip
     given = {**os.environ, "PYTHONPATH": str(checkout)}
     given.pop("PYTHONDONTWRITEBYTECODE", None)  # an unpacked version is compiled once only
     # The workers of today lower their priority: other programs would slow them alone.
@@ -110,7 +111,7 @@ def _simulate(package: str, checkout: Path, episodes: int = 2000) -> tuple[float
     with tempfile.TemporaryDirectory() as folder:
         begun_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run(
-            [*alike, sys.executable, "-m", package, *words, "--episodes", str(episodes), "--out", folder],
+            [*alike, sys.executable, "-m", package, *words, "--out", folder],
             check=True, capture_output=True, text=True, cwd=checkout, env=given,
         )  # fmt: skip
         took_s, after = time.perf_counter() - begun_s, resource.getrusage(resource.RUSAGE_CHILDREN)

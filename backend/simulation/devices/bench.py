@@ -31,6 +31,7 @@ from touchdown.backend.simulation.world import CycleRecord, World
 FRAME_CAPACITY = 256
 SAMPLE_CAPACITY = 32_768
 JUMP_N = 50.0
+CYCLES_AT_ONCE = 10  # of a bench at rest: rates are counted by when samples arrive
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ class SimulatedBench:
         end_us = self.clock.now_us + step_us
         while (cycles := (end_us - self._world.now_us) // self._world.cycle_us) > 0:
             watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
-            cycles = cycles if self._world.rests else 1
+            cycles = min(cycles, CYCLES_AT_ONCE) if self._world.rests else 1
             sensed = self._world.step(watched, cycles)
             self.clock.advance(sensed.end_us - self.clock.now_us)
             self._deliver(sensed, cycles)

@@ -494,7 +494,8 @@ def compared(tree):
 
 NO_PACE = {("touchdown.app.calibrate.presenter", "STANDINGS_S"),
            ("touchdown.app.collect.origin", "WINDOW_S"),
-           ("touchdown.app.label.editing", "PAUSE_S")}  # fmt: skip
+           ("touchdown.app.label.editing", "PAUSE_S"),
+           ("touchdown.app.shell.live", "CALM_AFTER_S")}  # fmt: skip
 """Compared likewise, but nothing is drawn by it at once."""
 
 

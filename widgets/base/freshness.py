@@ -68,7 +68,7 @@ def scroll_into_view(widget: QWidget) -> None:
 TURNS = 2
 PERIOD_MS = 32 // TURNS  # each view at slightly above 30 Hz; a late tick leaves 30 frames/s
 BUDGET_S = 0.008
-CALM_PERIOD_MS = 100  # while nothing moves: all views at 10 Hz
+CALM_PERIOD_MS = 125  # while nothing moves: all views at 8 Hz
 HIDDEN_PERIOD_MS, HIDDEN_BUDGET_S = 100, 0.05  # of a minimised window, which draws nothing
 
 
@@ -78,7 +78,7 @@ class EventPump:
     ``pull`` handles one event and returns False if there was none. The time budget is checked after
     every event, so that a burst is spread over several ticks. A view that exceeds the budget is
     drawn first at the next turn of its half. While ``calm`` returns True all views are drawn every
-    100 ms. While ``hidden`` returns True nothing is drawn, and events are handled every 100 ms.
+    125 ms. While ``hidden`` returns True nothing is drawn, and events are handled every 100 ms.
     """
 
     def __init__(

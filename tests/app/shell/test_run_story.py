@@ -349,7 +349,7 @@ def test_a_bench_that_stands_still_is_drawn_less_often_until_something_moves(liv
     assert calm_for(0.2)
     bench.turn(0.04)
     live.pump.tick()
-    assert live.pump._timer.interval() == 100
+    assert live.pump._timer.interval() == 125
     if what == "markers":
         field = bench.fields["right"].newest()
         moved = replace(field, position_px=field.position_px + 0.31)

@@ -143,7 +143,7 @@ def _fsync_ms(folder: Path) -> float:
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKED = 6000
-CACHED = 60_000
+CACHED = 30_000
 BATCH = 256
 
 
@@ -245,7 +245,7 @@ def two_hundred_kills() -> list[Figure]:
     ]  # fmt: skip
 
 
-STORED, READ, FOREIGN = 500, 200, 20  # LeRobot's writer takes up to 0.8 s an episode
+STORED, READ, FOREIGN = 500, 200, 10  # LeRobot's writer takes up to 0.8 s an episode
 
 
 def _rows(count: int) -> list[PackedEpisode]:

@@ -178,7 +178,7 @@ def flipped_bits_without_checksum() -> list[Figure]:
 
 MOST_OFF_PERCENT = {"cut off": 0.0, "one bit": 3.1, "64 bytes zeroed": 9.3, "1 KiB lost": 0.0}
 # Pictures of a kind at 320 x 240 px, and at native size, which takes 20 times as long.
-COUNT = {False: 1000, True: 200}
+COUNT = {False: 1000, True: 60}
 CLIPS = (*(clip for clip, _ in SCENES), "artificial_strawberry_exp2_camera_0.avi")
 LIVE, NOISE_GREY = 10_000, 0.5
 CONNECTIONS = 100

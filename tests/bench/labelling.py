@@ -25,6 +25,7 @@ from PySide6.QtWidgets import QApplication
 
 from tests.app.label.conftest import make_episode
 from tests.backend.annotations import filling
+from tests.backend.bench.brisk import brisk_session
 from tests.bench.figures import Figure, at_least, at_most, failures, figure, stated
 from touchdown.app.application import TouchdownApp
 from touchdown.app.label.text import evidence_badges
@@ -34,12 +35,12 @@ from touchdown.app.shell.label_items import LabelDraft, item_reader
 from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.annotations import Dataset, EpisodeContext, Label, SetState
 from touchdown.backend.annotations.queues import SCORES
-from touchdown.backend.bench.assembly import shipped_model, simulated_session
+from touchdown.backend.bench.assembly import shipped_model
 from touchdown.backend.geometry import load_pieces, true_patch
 from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
 from touchdown.backend.placement.label_review import score_labels
-from touchdown.backend.runs import CollectRequest, RecordingOptions
-from touchdown.backend.simulation import gripper
+from touchdown.backend.runs import CollectRequest
+from touchdown.backend.simulation import conditions
 from touchdown.backend.simulation.devices.bench import SimulatedBench
 
 EPISODES, FILMED = 10_000, 120  # length of the queue; episodes with films of 2 s
@@ -264,7 +265,7 @@ def _collect_drafts(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Return the true displacement of each probe in mm, and the probes whose draft is wrong."""
     rng = np.random.default_rng(SEED)
     with mock.patch("os.fsync"), Dataset.open(folder, person="Ann") as dataset:
-        session = simulated_session(keep=RecordingOptions(None))
+        session = brisk_session("mixed")
         session.dataset = dataset
         session.run(CollectRequest(count=DRAFTS, person="Ann"))
         session.close()
@@ -336,7 +337,7 @@ def _stated(name: str, times_ms: list[float], shares: tuple[int, ...], note: str
 
 
 # In every third grip the piece is 1 to 3 mm off its place along the jaws.
-SLIP_PROBES, PER_GRIP, EVERY = 126, 3, 3
+SLIP_PROBES, PER_GRIP, EVERY = 96, 3, 3
 
 
 @figure("labelling")
@@ -365,7 +366,7 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
     """Return for each picture whether the piece had slipped."""
     rng, grips, slipped = np.random.default_rng(5), [0], dict[Taken, bool]()
     last: Taken = (0, 0.0)
-    draw, picture = gripper.draw_gripping, SimulatedBench.scene_picture
+    draw, picture = conditions.draw_gripping, SimulatedBench.scene_picture
 
     def drawn(*given: Any) -> Any:
         grip = draw(*given)
@@ -385,10 +386,10 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
         return picture(bench)
 
     with (
-        mock.patch.object(gripper, "draw_gripping", drawn),
+        mock.patch.object(conditions, "draw_gripping", drawn),
         mock.patch.object(SimulatedBench, "scene_picture", seen),
     ):
-        session = simulated_session(keep=RecordingOptions(None))
+        session = brisk_session("mixed")
         session.dataset = dataset
         session.run(
             CollectRequest(
@@ -401,7 +402,7 @@ def _collect(dataset: Any) -> dict[Taken, bool]:
 
 def _judged(dataset: Any, slipped: dict[Taken, bool]) -> list[tuple[bool, bool]]:
     """Return (slipped, badged) of each probe that was no refused observation."""
-    read = item_reader(dataset, ModelPrelabeller(load_pieces(), model_path_in_use), lambda: None)
+    read = item_reader(dataset, ModelPrelabeller(load_pieces(), model_path_in_use))
     judged, mountings = [], dict[str, int]()
     for entry in dataset.episodes():
         mounting = mountings.setdefault(entry.mounting_id, len(mountings))

@@ -193,7 +193,7 @@ def _through(mode: str, usual: Sequence[str]) -> list[Figure]:
 
 
 PLACES = (Pose(0.0, 0.0, 120.0), Pose(0.0, 0.0, 70.0))
-SPEED_MM_S, MOVES_S, WATCHED_S, REALTIME = 20.0, 8.0, 5.0, 50
+SPEED_MM_S, MOVES_S, WATCHED_S, REALTIME = 20.0, 3.0, 4.0, 50
 # half of the top speed of a joint; one late command and the next, with a clock tolerance
 MOST_SHARE, MOST_AHEAD = 0.5, 1.05
 REFUSED = "RIG-STARVED"

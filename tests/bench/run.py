@@ -66,8 +66,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             begun_s = time.monotonic()
             try:
                 found = measure()
-            except TouchdownError as error:
-                found = [Figure(name, None, "", "", ok=False, note=str(error))]
+            except Exception as error:  # noqa: BLE001 - the others are measured all the same
+                known = isinstance(error, TouchdownError)
+                note = str(error) if known else f"{type(error).__name__}: {error}"
+                found = [Figure(name, None, "", "", ok=False, note=note)]
             figures += found
             if args.save:
                 save(records_of(group, name, found, time.monotonic() - begun_s))

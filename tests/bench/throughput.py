@@ -164,7 +164,7 @@ def _kept(times: dict[str, list[tuple[float, float, float]]], package: str, at: 
     return times[package][-1][1]
 
 
-PROBES = 30
+PROBES = 12
 
 
 @figure("store")
@@ -339,9 +339,10 @@ def trackers_of_others() -> list[Figure]:
             found += [float(d) for k, at in places.items()
                       for d in np.linalg.norm(at - truth[k], axis=1)]  # fmt: skip
         rows += [
-            paired(f"tracker / {name}, time a frame, {path.stem}", partial(_ms, ours, frames),
-                   partial(_ms, other, frames), np.inf)
-            for name, other in (("Lucas-Kanade", lucas_kanade), ("blob detector", blobs))
+            paired(f"tracker / {name}, time a frame, {path.stem}", partial(_ms, ours, part),
+                   partial(_ms, other, part), np.inf)
+            for name, other, part in (("Lucas-Kanade", lucas_kanade, frames),
+                                      ("blob detector", blobs, frames[: len(frames) // 3]))
         ]  # fmt: skip
     ratios = [float(row.value or 0) for row in rows[::2]]
     lost, of = sum(error > 3.0 for error in errors[ours]), f"of {len(errors[ours])}"

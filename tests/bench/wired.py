@@ -157,7 +157,7 @@ def share(name: str, apart_pc: Sequence[float], *, promised: bool = True) -> Fig
 
 
 @figure("wired")
-def parts_of_the_first_probe(trials: int = TRIALS) -> list[Figure]:
+def parts_of_the_first_probe(trials: int = TRIALS // 2) -> list[Figure]:
     noise, wires, behind, law = [], [], [], []
     for seed in range(FIRST_SEED, FIRST_SEED + trials):
         wanted = simulated_press(seed, NOISY)

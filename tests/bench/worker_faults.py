@@ -399,7 +399,7 @@ def camera_that_blocks_beside_a_window() -> list[Figure]:
     with watched_arm() as arm:
         found = measured_window("blocked camera", str(arm.lab))
     closed_s = found["gone_s"] - found["asked_s"]
-    note = f"a read of 10 s; {found['usual_ms']:.0f} ms in 10 s before; cards {found['cards']}"
+    note = f"a read of 10 s; {found['usual_ms']:.0f} ms in 5 s before; cards {found['cards']}"
     return [
         _gap("longest gap of the window's ticks, camera blocked", found["blocked_ms"], note),
         at_most("window gone after quitting, camera blocked", closed_s, "s", GONE_S),

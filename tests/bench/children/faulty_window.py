@@ -45,7 +45,8 @@ TRIALS, SEED = 500, 100  # more trials than any measurement needs
 SIZE = (1600, 940)
 WARM_UP_S, LOOK_S, SLICE_S = 3.0, 0.02, 5.0
 BLOCKED_S, FLOOD_S = 10.0, 10.0
-SLICES = 12  # slices with an error in every frame, for each kind
+SLICES = 12  # pairs of slices for each comparison of machinery
+FLOOD_SLICES, FLOOD_SLICE_S = 5, 2.0  # pairs of slices for each kind of error in every frame
 DECISIONS, HOLD_S, USUAL_SWITCH_S = 200, 0.08, 0.005
 FLOODS = ("view", "paint event", "bench")  # a view's redraw, a paint event, each step of the bench
 RAISED = ("SlotError", "TimerError", "PaintError", "ThreadError", "QueuedError")
@@ -172,7 +173,7 @@ def blocked_camera(window: LabWindow) -> dict[str, object]:
     camera._open_camera = lambda path, settings: Blocking(real(path, settings), block)
     window.ready()
     window.linger(2.0)
-    usual_ms = ticks.longest_ms(lambda: window.linger(BLOCKED_S))
+    usual_ms = ticks.longest_ms(lambda: window.linger(BLOCKED_S / 2))
     block.set()
     blocked_ms = ticks.longest_ms(lambda: window.linger(BLOCKED_S))
     found = {"usual_ms": usual_ms, "blocked_ms": blocked_ms, "cards": window.main.cards.codes}
@@ -291,10 +292,10 @@ def error_in_every_frame(window: Sliced) -> dict[str, object]:
     flood, kinds = Flood(window), dict[str, dict[str, object]]()
     for kind in FLOODS:
         slices: dict[str, list[Slice]] = {"with": [], "without": []}
-        for _ in range(SLICES):
+        for _ in range(FLOOD_SLICES):
             for which, raised in (("without", ""), ("with", kind)):
                 flood.kind = raised
-                slices[which].append(window.slice_of(SLICE_S))
+                slices[which].append(window.slice_of(FLOOD_SLICE_S))
         flood.kind = ""
         kinds[kind] = {which: together(some) for which, some in slices.items()}
         window.main.cards.clear()

@@ -58,7 +58,8 @@ def models_text(weights: str) -> str:
 def provenance_text(revision: Revision) -> str:
     """Return source and uncertainty of a label as text."""
     sigma = revision.label.sigma_um
-    spread = tr("uncertainty unknown") if sigma is None else tr("sigma {:.2f} mm", sigma / 1000.0)
+    known = tr("sigma\N{NO-BREAK SPACE}{:.2f}\N{NO-BREAK SPACE}mm", (sigma or 0) / 1000.0)
+    spread = tr("uncertainty unknown") if sigma is None else known
     kind = revision.source.partition(":")[0]
     basis = {
         "commanded": tr("commanded"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import QEvent, Signal
 from PySide6.QtWidgets import QSizePolicy, QVBoxLayout
 
 from touchdown.app.shell import LivePage, column_of, limit_height
@@ -22,7 +22,7 @@ from touchdown.widgets.views import (
 )
 
 TRACES, SIDE = "Force and moment", "Bench from the side"  # SIDE: as recorded in layouts
-SIDE_PX = 130  # least height of the bench with its title and the gaps around it
+BELIEF_PX, GAPS_PX = 140, 32  # least height of the map; gaps around and in a column
 
 
 class StackPage(LivePage):
@@ -39,6 +39,7 @@ class StackPage(LivePage):
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
+        self.belief.setMinimumHeight(BELIEF_PX)
         self.run = RunPanel(theme)
         self.score = ScorePanel(theme)
         self.add_piece = flat_button("Add piece", "Add a piece from a CAD file")
@@ -70,15 +71,19 @@ class StackPage(LivePage):
         self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)
         self.belief_panel.setVisible(not pictured and not self.columns.hides("Belief map"))
 
-    def make_room(self) -> None:
-        """Arrange the column again after the form has become higher or lower."""
-        self._leave_room()
+    def event(self, event: QEvent) -> bool:
+        """Arrange the column again after form or score have become higher or lower."""
+        if event.type() is QEvent.Type.LayoutRequest:
+            self._leave_room()
+        return super().event(event)
 
     def _leave_room(self) -> None:
         """Hide the side view where the controls need its room."""
         super()._leave_room()
-        score_px = 0 if self.columns.hides("Trials") else self.score.sizeHint().height()
-        room = self.seen_px > self.run.sizeHint().height() + score_px + SIDE_PX
+        score_px = self.score.heightForWidth(self.score.width())
+        least_px = sum(part.minimumSizeHint().height() for part in (self.run, self.side_panel))
+        least_px += GAPS_PX + (0 if self.columns.hides("Trials") else score_px)
+        room = self.seen_px >= least_px
         self.side_panel.setVisible(room and not self.columns.hides(SIDE))
         # Without the side view the trials fill the column.
         layout = self._right.layout()

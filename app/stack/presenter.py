@@ -97,10 +97,6 @@ class StackPresenter:
 
     def show_model(self) -> None:
         """Show the model that a run of the form would use, and its certificate."""
-        self._show_model()
-        self._page.make_room()
-
-    def _show_model(self) -> None:
         form, run = self._page.run.form(), self._page.run
         words = shell.run_model_caption(form.piece, form.strategy)
         run.show_model(words.short, words.full)

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from PySide6.QtGui import QColor, QPalette
-from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QPushButton, QSpinBox
+from PySide6.QtWidgets import QComboBox, QLineEdit, QListWidget, QProgressBar, QPushButton, QSpinBox
 
 from touchdown.app import splash
 from touchdown.widgets.base.theme import (
@@ -173,6 +173,17 @@ def test_in_high_contrast_a_disabled_control_has_a_broken_frame(qapp, qtbot, kin
     assert share() == 1.0
     control.setEnabled(False)
     assert 0.2 < share() < 0.9
+
+
+def test_in_high_contrast_an_empty_progress_bar_has_a_frame(qapp, qtbot):
+    load_resources()
+    bar = QProgressBar()
+    qtbot.addWidget(bar)
+    bar.setStyleSheet(make_style_sheet(CONTRAST, 10.0))
+    bar.resize(120, 24)
+    image = bar.grab().toImage()
+    edge = [image.pixelColor(x, y) for y in (0, image.height() - 1) for x in range(10, 110)]
+    assert {colour.name() for colour in edge} == {CONTRAST.border.lower()}
 
 
 @pytest.mark.parametrize("kind", [QComboBox, QLineEdit, QListWidget])

@@ -64,8 +64,9 @@ class EpisodeTable(QTableView):
         self.fit_to_theme()
 
     def show_rows(self, rows: Sequence[EpisodeTableRow], chosen: str) -> None:
-        """Replace the rows and select one."""
+        """Replace the rows, highest number first, and select one."""
         self._rows.show(rows)
+        self.fit_to_theme()
         self.mark(chosen)
 
     def rows(self) -> Sequence[EpisodeTableRow]:
@@ -83,11 +84,14 @@ class EpisodeTable(QTableView):
 
     def fit_to_theme(self) -> None:
         """Adapt row height and column widths to the font scale."""
-        em = QFontMetrics(ui_font(self._theme.scale)).height()
+        metrics, rows = QFontMetrics(ui_font(self._theme.scale)), self._rows.rows
+        em, digits = metrics.height(), len(rows[0].number) if rows else 0
         self.verticalHeader().setDefaultSectionSize(round(1.45 * em))
         self.horizontalHeader().setMinimumSectionSize(round(min(WIDTHS_EM) * em))
         for column, width in enumerate(WIDTHS_EM):
             self.setColumnWidth(column, round(width * em))
+        number_px = metrics.horizontalAdvance("8" * digits) + em
+        self.setColumnWidth(0, max(self.columnWidth(0), number_px))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave letters and Enter to the page."""

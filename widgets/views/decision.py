@@ -197,7 +197,7 @@ class DecisionPanel(QFrame):
         low = base.label(DECLINING, "small", wrap=True)
         answers = base.hbox((low, 1), self.decline, self.approve)
         base.vbox(self._ask_text, answers, parent=self._asking, margins=(0, 0, 0, 0), spacing=2)
-        base.vbox(top, self._text, self._asking, parent=self, margins=(12, 8, 12, 8), spacing=4)
+        base.vbox(top, self._text, self._asking, parent=self, margins=(10, 8, 10, 8), spacing=4)
 
     def show_text(self, text: DecisionText) -> None:
         """Show a decision."""

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -303,6 +304,13 @@ def test_with_large_text_the_controls_come_first_and_back(live):
             assert places == sorted(places), f"{name} as usual at {width} px"
             assert not live.window._scrolls[name].horizontalScrollBar().isVisible()
     assert page.columns.arrangement().shares == shares
+
+
+@pytest.mark.parametrize("number", ["9", "9999", "1000000"])
+def test_the_number_of_an_episode_is_shown_in_full(page, number):
+    table = page.view.table
+    table.show_rows([replace(table.rows()[0], number=number)], "")
+    assert table.columnWidth(0) >= table.sizeHintForColumn(0)
 
 
 def test_every_page_is_drawn_on_a_screen_twice_as_fine(tmp_path):

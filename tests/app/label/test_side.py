@@ -234,9 +234,9 @@ def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
 
 def test_the_page_says_what_a_label_rests_on(desk):
     takes = r"Accept takes the label, x \S+, y \S+ mm: "
-    assert re.fullmatch(f"{takes}commanded, sigma 0.30 mm", desk.page.basis.text())
+    assert re.fullmatch(f"{takes}commanded, sigma\xa00.30\xa0mm", desk.page.basis.text())
     desk.do(KEY.Key_Right)
-    assert re.fullmatch(f"{takes}set by Ann, sigma 0.20 mm", desk.page.basis.text())
+    assert re.fullmatch(f"{takes}set by Ann, sigma\xa00.20\xa0mm", desk.page.basis.text())
     uuid = desk.uuid
     desk.do(KEY.Key_Return)
     head = desk.book.head(uuid)

@@ -25,6 +25,7 @@ from touchdown.backend.geometry import Surface, load_pieces
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.base import Panel, Theme
+from touchdown.widgets.views import DecisionText, Score, TrialPrompt
 from touchdown.widgets.views.scene import ABOVE, SIDE, UPRIGHT, SideBody, SideScene, SideView
 
 
@@ -387,3 +388,28 @@ def test_signals_that_differ_are_shown_until_the_operator_resets_the_guard(live,
     presenter.show_model()
     assert run._signals.text() == "Signals look as in calibration (0 trials compared)."
     assert bench.prompt.attended
+
+
+def test_the_bench_is_shown_wherever_form_and_score_leave_its_height(live):
+    live.window.resize(1280, 720)
+    live.go("stack")
+    settle(live)
+    page = live.workspaces["stack"].page
+    last = "Seed 1: placed after 4 probes. Trial 2 of 2 follows."
+    void = tuple(f"Trial {n}: Void: the bottom was put in the wrong place." for n in range(3))
+    for score, there in (
+        (Score((Outcome.PLACED,), 2, (0.05, 1.0), last), True),
+        (Score((Outcome.ABORTED,) * 3, 4, (0.0, 0.9), last, void=void), False),
+        (Score((), 2, None), True),
+    ):
+        page.score.show_score(score)
+        settle(live)
+        assert page.side_panel.isVisible() == there
+    page.decision.show_text(
+        DecisionText("Would stand here", "good", "+2.7 mm", "Centre of mass inside the hull.")
+    )
+    page.show_trial(TrialPrompt("What became of it?", "No lateral force on the fingers."))
+    settle(live)
+    bars = live.window._scrolls["stack"]
+    assert not bars.verticalScrollBar().isVisible()
+    assert not bars.horizontalScrollBar().isVisible()

@@ -172,6 +172,26 @@ def test_a_laboratory_is_added_to_those_that_are_there(tmp_path, monkeypatch):
     assert stored == [{"seed": 2, "share": 2.0}, {"seed": 13, "share": 3.0}]
 
 
+def test_labels_needed_are_read_where_random_order_ends():
+    rising = [[0.3, 0.5, 0.6, 0.7], [0.3, 0.5, 0.6, 0.5]]  # the mean ends at 0.6, reached at 100
+    found = laboratories.labels_needed([{"random": rising, "queue": [[0.3, 0.6, 0.65, 0.6]] * 2}])
+    assert found["labels"] == {"random": pytest.approx(100.0), "queue": pytest.approx(50.0)}
+    assert found["share"] == pytest.approx(0.5)
+    low, high = found["interval"]
+    assert low == pytest.approx(50 / 100)  # draws of the second seed twice end at 0.5, at 50 labels
+    assert high is None or high >= 0.5
+    never = {"random": [[0.3, 0.5, 0.6, 0.7]], "queue": [[0.3, 0.4, 0.5, 0.5]]}
+    found = laboratories.labels_needed([never])
+    assert (found["share"], found["interval"], found["draws_that_reach"]) == (None, [None] * 2, 0)
+    both = [
+        {"random": rising, "queue": rising},
+        {"random": rising, "queue": [[0.3, 0.9, 1, 1]] * 2},
+    ]
+    found = laboratories.labels_needed(both)
+    assert found["labels"]["queue"] == pytest.approx(100.0 + 25.0)
+    assert found["share"] == pytest.approx(125 / 200)
+
+
 def test_success_that_comes_back_counts_what_was_lost():
     own, before, after = (n * ["placed"] + (20 - n) * ["fell"] for n in (18, 8, 13))
     found = laboratories.recovered(own, before, after)

@@ -36,8 +36,8 @@ from touchdown.app.start import THREAD_SWITCH_S
 from touchdown.backend.annotations import Dataset, EpisodeContext, Label, SetState
 from touchdown.backend.annotations.queues import SCORES
 from touchdown.backend.bench.assembly import shipped_model
-from touchdown.backend.geometry import load_pieces, true_patch
-from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator, OffsetGrid
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.placement.estimator import NOTABLE_SIGMAS, Ensemble, Estimator
 from touchdown.backend.placement.label_review import score_labels
 from touchdown.backend.runs import CollectRequest
 from touchdown.backend.simulation import conditions
@@ -419,8 +419,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BOTTOMS, EACH, SEED = "circle15,circle25,square15", 1000, 77
 WRONG_SHARE, WRONG_MM = 0.02, (1.0, 3.0)
 FIRST = 100
-NOT_FOR_ERRORS = {"audit": "random", "uncertainty": "looks at no label"}
-DRAWN, WORST = 300, 0.1  # random episodes for the quantile of the model's worst tenth
+NOT_FOR_ERRORS = {"audit": "random", "training": "looks at no label"}
 Wrong = dict[str, Label]  # displacement of each wrong label; all others are as commanded
 
 
@@ -453,7 +452,7 @@ def _measured(
         count = score_labels(dataset, lambda _: models, lambda done, total: True)
         figures = _precision(dataset, set(wrong), count, kind)
         if make is _moved:
-            figures += [*_badges(dataset, wrong), *_unsure(dataset, models)]
+            figures += _badges(dataset, wrong)
         return figures
 
 
@@ -500,33 +499,6 @@ def _precision(dataset: Dataset, wrong: set[str], count: int, kind: str) -> list
         name = f"queue {queue}, labels {kind} in the first {FIRST}"
         figures.append(Figure(name, 100 * share, "%", target, ok, note))
     return figures
-
-
-def _unsure(dataset: Dataset, models: Ensemble) -> list[Figure]:
-    """Return how often the model is wrong where it says that it is unsure; truth as simulated."""
-    grids = dict[str, OffsetGrid]()
-
-    def overlap(uuid: str) -> float:
-        episode, geometry = dataset.film(uuid).episode, dataset.entry(uuid).geometry
-        pair = dataset.geometry.pair(geometry)
-        if geometry not in grids:
-            grids[geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
-        felt = models.judge(episode, grids[geometry]).patch.probability > 0.5
-        x_mm, y_mm = episode.offset_mm.tolist()
-        true = true_patch(pair.points_mm, (x_mm, y_mm), pair.bottom) > 0
-        return float((felt & true).sum() / max((felt | true).sum(), 1))
-
-    uuids = [entry.uuid for entry in dataset.episodes()]
-    chosen = np.random.default_rng(SEED).choice(len(uuids), DRAWN, replace=False)
-    usual = np.array([overlap(uuids[k]) for k in chosen.tolist()])
-    first = dataset.queue("uncertainty", "zoe", limit=FIRST)
-    there = np.array([overlap(uuid) for uuid in first])
-    share = float((there < np.quantile(usual, WORST)).mean())
-    note = f"mean IoU {there.mean():.2f} there, {usual.mean():.2f} of {DRAWN} drawn"
-    return [
-        Figure(f"queue uncertainty, the model's worst tenth in the first {FIRST}", 100 * share,
-               "%", f"> {100 * WORST:.0f} (base rate)", share > WORST, note)
-    ]  # fmt: skip
 
 
 def _badges(dataset: Dataset, wrong: Wrong) -> list[Figure]:

@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -28,6 +28,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.bench.experiments import label_elsewhere, recorded_elsewhere
@@ -60,7 +61,7 @@ from touchdown.backend.learning.fused import load_fused
 from touchdown.backend.learning.inference import modality_columns
 from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
 from touchdown.backend.learning.training import Trainer, predict
-from touchdown.backend.placement.estimator import mean_entropy
+from touchdown.backend.placement import label_review
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
 
 # Setting: low, high, and whether the logarithm is uniform
@@ -268,7 +269,7 @@ def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str
 FOLDER = Path("output/laboratories")
 # Files in docs/results
 HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
-LOSSES, COMES_BACK = "laboratory-losses", "comes-back"
+LOSSES, COMES_BACK, ACTIVE = "laboratory-losses", "comes-back", "active-labelling"
 MANY = 300  # presses
 LOST = 10.0  # points of success; less is no loss that could come back
 
@@ -353,6 +354,21 @@ def success_that_comes_back() -> list[Figure]:
 
 
 @figure("identification")
+def labels_saved() -> list[Figure]:
+    """Judge the laboratories in docs/results that learn from labels and chose no order."""
+    of = [one for one in stored_results(ACTIVE) if one["seed"] not in TUNED and "share" in one]
+    if not of:
+        raise InputError("There is no result.", ACTIVE, "Run --active first.")
+    found = labels_needed([one["curves"] for one in of])
+    low, high = ("no bound" if end is None else f"{100 * end:.0f} %" for end in found["interval"])
+    share = np.inf if found["share"] is None else found["share"]
+    return [at_most(
+        f"labels for equal IoU, queue against random order, hidden laboratories ({len(of)})",
+        100 * share, "%", 85.0, f"95 %: {low} to {high}",
+    )]  # fmt: skip
+
+
+@figure("identification")
 def identification_time() -> list[Figure]:
     """Identify a bench from ``MANY`` presses: those of a laboratory, each several times."""
     recordings = recorded_laboratory(0, FOLDER / "time")
@@ -384,7 +400,9 @@ MIXED = 400  # simulated probes beside the labelled ones of a fine-tuning
 KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
 LABORATORY_SEED, TEST_SEED = 31_000, 32_000
 # Active labelling: smaller still, since it trains some hundred times.
-BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 32}
+BATCH, MOST, ACTIVE_SEEDS, TINY = 50, 150, 10, {"hidden": 32}
+AVAILABLE, LEARNS = 300, 0.05  # probes that wait for a label; gain of IoU by the last labels
+TUNED = (2,)  # laboratories that the order of the queue was chosen on
 
 
 def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
@@ -444,18 +462,15 @@ def write_bench(file: Path, content: Mapping[str, Any]) -> Path:
     return file
 
 
-def laboratory_probes(seed: int, out: Path) -> tuple[dict[str, Path], TrainingRows, TrainingRows]:
-    """Return the bench files by name, labelled probes of the laboratory, and its test probes."""
+@cache
+def laboratory_probes(seed: int, out: Path) -> tuple[Path, TrainingRows, TrainingRows]:
+    """Return the nominal bench, labelled probes of the laboratory, and its test probes."""
     drawn, _ = draw_laboratory(seed, drivers=True)
-    found = json.loads((out / f"laboratory-{seed}.json").read_text())
-    benches = {"laboratory": drawn.model_dump(mode="json", exclude_none=True),
-               "identified": found["bench"], "nominal": {}}  # fmt: skip
-    files = {}
-    for name, content in benches.items():
-        files[name] = write_bench(out / f"{name}-{seed}.toml", content)
-    pool = simulated_probes(files["laboratory"], POOL // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
-    test = simulated_probes(files["laboratory"], TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
-    return files, pool, test
+    content = drawn.model_dump(mode="json", exclude_none=True)
+    there = write_bench(out / f"laboratory-{seed}.toml", content)
+    pool = simulated_probes(there, POOL // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
+    test = simulated_probes(there, TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
+    return write_bench(out / "nominal.toml", {}), pool, test
 
 
 def learning_curves(seed: int, out: Path) -> dict[str, Any]:
@@ -465,7 +480,10 @@ def learning_curves(seed: int, out: Path) -> dict[str, Any]:
     simulated probes, and labels alone. ``REPEATS`` draws of the labels and of what is mixed in.
     """
     use_one_thread()
-    files, pool, test = laboratory_probes(seed, out)
+    nominal, pool, test = laboratory_probes(seed, out)
+    found = json.loads((out / f"laboratory-{seed}.json").read_text())
+    identified = write_bench(out / f"identified-{seed}.toml", found["bench"])
+    files = {"nominal": nominal, "identified": identified}
     simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
                  for name in ("nominal", "identified")}  # fmt: skip
     start = {name: trained(some, SMALL, 0) for name, some in simulated.items()}
@@ -505,66 +523,93 @@ def curve_pictures(found: Mapping[str, Any]) -> dict[str, str]:
 def active_labelling(seed: int, out: Path) -> dict[str, Any]:
     """Count the labels for equal IoU, in the order of the queue and in random order.
 
-    The network of the nominal bench is fine-tuned on all labels after every ``BATCH`` of them.
+    Each seed draws ``AVAILABLE`` probes of the laboratory. The network of the nominal bench is
+    fine-tuned on all labels after every ``BATCH`` of them. Without a gain of ``LEARNS`` in random
+    order the orders cannot be compared, and the queue is left out. Curves are kept in ``out``.
     """
     use_one_thread()
-    files, pool, test = laboratory_probes(seed, out)
-    simulated = simulated_probes(files["nominal"], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
-    start, tuning = (
-        trained(simulated, SMALL.model_copy(update=TINY), 0),
-        TUNING.model_copy(update=TINY),
-    )
-    begin = tested(start, test)["iou"]
-    curves: dict[str, list[list[float]]] = {"random": [], "queue": []}
-    for one in range(ACTIVE_SEEDS):
-        order = np.random.default_rng(one).permutation(len(pool))
-        for way, found in curves.items():
-            network, chosen, line = start, np.zeros(0, int), [begin]
-            while len(chosen) < MOST:
-                rest = order[~np.isin(order, chosen)]
-                if way == "queue":
-                    doubt = mean_entropies(patches(network, pool.take(rest)))
-                    rest = rest[np.argsort(-doubt, kind="stable")]
-                chosen = np.concatenate([chosen, rest[:BATCH]])
-                network = trained(pool.take(chosen), tuning, one, start, simulated)
-                line.append(tested(network, test)["iou"])
-            found.append(line)
-    return {"laboratory": seed, "batch": BATCH, "seeds": ACTIVE_SEEDS, "curves": curves,
-            **labels_needed(curves)}  # fmt: skip
+    folder = out / "active"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def curve(way: str, one: int) -> list[float]:
+        nominal, pool, test = laboratory_probes(seed, folder)
+        (simulated, start), tuning = nominal_start(nominal), TUNING.model_copy(update=TINY)
+        there = np.random.default_rng(one).permutation(len(pool))[:AVAILABLE]
+        if way == "queue":
+            there = there[queue_order(pool.take(there))]
+        counts = range(BATCH, MOST + 1, BATCH)
+        networks = (trained(pool.take(there[:n]), tuning, one, start, simulated) for n in counts)
+        return [tested(network, test)["iou"] for network in (start, *networks)]
+
+    def curves(way: str) -> list[list[float]]:
+        return [
+            kept(folder / f"{seed}-{way}-{one}.json", partial(curve, way, one))
+            for one in range(ACTIVE_SEEDS)
+        ]
+
+    found = {"random": curves("random")}
+    gain = float(np.mean([line[-1] - line[0] for line in found["random"]]))
+    if gain >= LEARNS:
+        found["queue"] = curves("queue")
+    return {"seed": seed, "batch": BATCH, "seeds": ACTIVE_SEEDS, "available": AVAILABLE,
+            "random_order_gains": gain, "curves": found,
+            **(labels_needed([found]) if "queue" in found else {})}  # fmt: skip
 
 
-def mean_entropies(probability: Any) -> Any:
-    """Return the score of the queue *Model is unsure* for each probe (n,)."""
-    return np.array([mean_entropy(row.astype(float)) for row in probability])
+@cache
+def nominal_start(nominal: Path) -> tuple[TrainingRows, Any]:
+    """Return probes of the nominal bench and a small network trained on them."""
+    simulated = simulated_probes(nominal, SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
+    return simulated, trained(simulated, SMALL.model_copy(update=TINY), 0)
 
 
-def labels_needed(curves: Mapping[str, list[list[float]]]) -> dict[str, Any]:
+def queue_order(rows: TrainingRows) -> NDArray[np.intp]:
+    """Return the probes in the order in which the queue *Best for training* shows them."""
+    signals = rows.observation[:, label_review.COMPARED_TICKS]
+    return np.array(label_review.training_order(signals, np.zeros(len(rows), bool)))
+
+
+def first_reached(values: Any, at: Any, target: float) -> float:
+    """Return where rising ``values`` first reach ``target``, by interpolation; else inf."""
+    there = np.flatnonzero(values >= target - 1e-12)
+    if not len(there):
+        return float(np.inf)
+    k = int(there[0])
+    return float(np.interp(target, values[max(k - 1, 0) : k + 1], at[max(k - 1, 0) : k + 1]))
+
+
+def labels_needed(laboratories: list[dict[str, list[list[float]]]]) -> dict[str, Any]:
     """Return the labels by which each order first reaches the IoU of random order at the end.
 
     The target is the mean over seeds; a curve counts as its running maximum, between labels by
-    interpolation. ``share`` is that of the queue over random order, None if the queue does not
-    reach it; the interval is a bootstrap over seeds, of those draws in which it does.
+    interpolation. ``share``: labels of the queue over those of random order, each summed over the
+    laboratories; None if the queue does not reach a target. The interval is a bootstrap over
+    seeds, in which a draw that does not reach it counts as infinite.
     """
-    lines = {way: np.array(found) for way, found in curves.items()}
-    labels = BATCH * np.arange(lines["random"].shape[1])
-
-    def share(rows: Any) -> float:
-        mean = {way: np.maximum.accumulate(line[rows].mean(axis=0)) for way, line in lines.items()}
-        target = lines["random"][rows, -1].mean()
-        needed = {way: float(np.interp(target, one, labels, right=np.inf))
-                  for way, one in mean.items()}  # fmt: skip
-        return needed["queue"] / max(needed["random"], 1.0)
-
-    count = len(lines["random"])
+    lines = [{way: np.array(found) for way, found in one.items()} for one in laboratories]
     rng = np.random.default_rng(0)
-    drawn = np.array([share(rng.integers(count, size=count)) for _ in range(2000)])
-    whole, reached = share(np.arange(count)), drawn[np.isfinite(drawn)]
-    return {
-        "share": whole if np.isfinite(whole) else None,
-        "interval": np.quantile(reached, [0.025, 0.975]).tolist() if len(reached) else None,
-        "draws_that_reach": len(reached) / len(drawn),
-        "iou": {way: [float(line.mean(axis=0)[k]) for k in (0, -1)] for way, line in lines.items()},
-    }
+
+    def needed(*, draw: bool) -> dict[str, float]:
+        total = {"random": 0.0, "queue": 0.0}
+        for line in lines:
+            count, labels = len(line["random"]), BATCH * np.arange(line["random"].shape[1])
+            rows = rng.integers(count, size=count) if draw else np.arange(count)
+            target = line["random"][rows, -1].mean()
+            for way in total:
+                mean = np.maximum.accumulate(line[way][rows].mean(axis=0))
+                total[way] += first_reached(mean, labels, target)
+        return total
+
+    whole = needed(draw=False)
+    drawn = [needed(draw=True) for _ in range(2000)]
+    shares = np.array([one["queue"] / max(one["random"], 1.0) for one in drawn])
+    low, high = np.quantile(shares, [0.025, 0.975], method="inverted_cdf").tolist()
+    share = whole["queue"] / max(whole["random"], 1.0)
+    finite = {key: value if np.isfinite(value) else None for key, value in (
+        *whole.items(), ("share", share), ("low", low), ("high", high))}  # fmt: skip
+    return {"labels": {way: finite[way] for way in whole}, "share": finite["share"],
+            "interval": [finite["low"], finite["high"]],
+            "draws_that_reach": float(np.isfinite(shares).mean())}  # fmt: skip
 
 
 RECOVERY_SEED = 48_000_000
@@ -748,11 +793,11 @@ def outcomes_before(
     )
 
 
-def kept(file: Path, make: Callable[[], list[str]]) -> list[str]:
+def kept(file: Path, make: Callable[[], list[Any]]) -> list[Any]:
     """Return what ``file`` holds, or what ``make`` returns, and keep it there."""
     if not file.is_file():
         write_atomically(file, json.dumps(make()).encode())
-    found: list[str] = json.loads(file.read_text())
+    found: list[Any] = json.loads(file.read_text())
     return found
 
 
@@ -772,7 +817,8 @@ def main() -> int:
     parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
     parser.add_argument("--curves", type=int, metavar="SEED", help="learning curves on a "
                         "laboratory that was identified, into docs/results")  # fmt: skip
-    parser.add_argument("--active", type=int, metavar="SEED", help="labels saved by the queue")
+    parser.add_argument("--active", type=int, nargs="+", default=[], metavar="SEED", help="labels "
+                        "saved by the queue, in each of these laboratories")  # fmt: skip
     parser.add_argument("--losses", action="store_true", help="only count the trials of the "
                         "shipped networks in the laboratories")  # fmt: skip
     parser.add_argument("--comes-back", metavar="PLACE", help="success after an adaptation to a "
@@ -790,8 +836,9 @@ def main() -> int:
         of = with_result(COMES_BACK, comes_back(args.comes_back, args.out, args.trials))
         save_result(COMES_BACK, {"of": of})
         return 0
-    if args.active is not None:
-        save_result("active-labelling", active_labelling(args.active, args.out))
+    for seed in args.active:
+        save_result(ACTIVE, {"of": with_result(ACTIVE, active_labelling(seed, args.out))})
+    if args.active:
         return 0
     for seed in range(args.first, args.first + args.count):
         if args.losses:

@@ -92,7 +92,7 @@ EMPTY_QUEUES = {
     ),
     "all": empty_queue("No episode passes the filter", "Change it above, or clear it."),
     "conflicts": empty_queue("There are no conflicts", "No merge gave an episode two labels."),
-    **dict.fromkeys(("doubt", "disagreement", "uncertainty", "duplicates"), NOT_SCORED),
+    **dict.fromkeys(("doubt", "disagreement", "training", "duplicates"), NOT_SCORED),
 }
 EMPTY_QUEUE = empty_queue("Nothing is in this queue", "No episode belongs to this queue.")
 

@@ -28,6 +28,7 @@ from touchdown.app.label.session import (
 )
 from touchdown.app.label.text import (
     FINDING,
+    RETRAIN_EVERY,
     EnterAct,
     basis_text,
     evidence_badges,
@@ -241,6 +242,8 @@ class LabelPresenter:
         if self.walk.at + 1 == len(self.walk.order) and not self.session.opines:
             self.saving.after(self._end)
         else:
+            if self.session.queue == "training" and (self.walk.at + 1) % RETRAIN_EVERY == 0:
+                self.ended(self.walk.at + 1, "", RETRAIN_EVERY)
             self._go(self.walk.at + 1)
 
     async def _end(self) -> None:

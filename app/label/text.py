@@ -29,7 +29,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("returned", "Rejected, to correct"),
     ("doubt", "The signals speak against it"),
     ("disagreement", "Disagreement with the model"),
-    ("uncertainty", "Model is unsure"),
+    ("training", "Best for training"),
     ("coverage", "Holes in the coverage"),
     ("duplicates", "Alike signals, other labels"),
     ("conflicts", "Conflicts after a merge"),
@@ -40,6 +40,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
 
 EnterAct = Literal["accept", "approve", ""]
 FINDING = "finding"  # the queue of a finding of the dataset check
+RETRAIN_EVERY = 25  # labels of the queue of training, after which a training is offered
 
 
 def source_text(source: Source) -> str:

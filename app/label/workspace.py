@@ -312,6 +312,7 @@ class LabelWorkspace(Workspace):
         if kept.person and not _is_name(kept.person):
             kept.person = s.person
             dropped.append("person")
+        kept.queue = {"uncertainty": "training"}.get(kept.queue, kept.queue)  # up to 0.1.0
         if kept.queue not in (*dict(QUEUES), *kept.saved):
             kept.queue = s.queue
             dropped.append("queue")
@@ -362,7 +363,7 @@ class LabelWorkspace(Workspace):
             text = f"{text} {tr(titles[queue])}: {count_noun(size, 'episode')}."
             offer(text, "Open that queue", partial(self._go_to, queue))
         elif size:
-            text = f"{text} {tr('{} approved.', count_noun(size, 'label'))}"
+            text = f"{text} {tr('{} for a training.', count_noun(size, 'label'))}"
             offer(text, "Train on them", partial(self._context.go, "train"))
 
     def _go_to(self, queue: str) -> None:

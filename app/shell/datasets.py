@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +14,9 @@ from touchdown.backend.bench import model_in_use
 from touchdown.backend.core import Episode, InputError
 from touchdown.backend.geometry import PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
-from touchdown.backend.placement import Ensemble, Estimator, OffsetGrid
+from touchdown.backend.placement import Ensemble, Estimator, pair_grid
 from touchdown.backend.runs import models_folder
 from touchdown.widgets.base import tr
-
-MAX_GRIDS = 16
 
 
 class ModelPrelabeller:
@@ -26,7 +25,6 @@ class ModelPrelabeller:
     def __init__(self, catalogue: PieceLibrary, paths_of: Callable[[str], Sequence[Path]]) -> None:
         self._catalogue, self._paths_of = catalogue, paths_of
         self._models: dict[str, Ensemble | None] = {}
-        self._grids: dict[str, OffsetGrid] = {}
         self._lock = threading.Lock()
 
     def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
@@ -35,11 +33,11 @@ class ModelPrelabeller:
         if ensemble is None:
             return None
         try:
-            says = ensemble.judge(episode, self._grid(pair))
+            says = ensemble.judge(episode, pair_grid(pair))
         except (InputError, ValueError):
             # No model for a dropped sample or another face.
             return None
-        return ModelLabel(says.fit, says.entropy, ensemble.weights, says.spread_mm)
+        return ModelLabel(says.fit, ensemble.weights, says.spread_mm)
 
     def model(self, piece: str) -> Ensemble | None:
         """Return the models of a piece, None if there are none."""
@@ -56,19 +54,10 @@ class ModelPrelabeller:
     def _load(self, piece: str) -> Ensemble | None:
         members = []
         for path in self._paths_of(piece):
-            try:
+            # Skip a model that does not fit this piece any more.
+            with suppress(InputError):
                 members.append(Estimator.load(path, self._catalogue.piece(piece)))
-            except InputError:
-                # Skip a model that does not fit this piece any more.
-                continue
         return Ensemble(members) if members else None
-
-    def _grid(self, pair: Pair) -> OffsetGrid:
-        if pair.sha256 not in self._grids:
-            while len(self._grids) >= MAX_GRIDS:
-                del self._grids[next(iter(self._grids))]
-            self._grids[pair.sha256] = OffsetGrid.of(pair.points_mm, pair.bottom)
-        return self._grids[pair.sha256]
 
 
 @dataclass(frozen=True, slots=True)

@@ -193,7 +193,6 @@ class ModelLabel:
     """
 
     fit: OffsetFit
-    entropy: float
     weights: str
     spread_mm: float = 0.0
 

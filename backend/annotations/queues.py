@@ -22,7 +22,7 @@ from touchdown.backend.core import InputError
 
 # ``doubt``: increase of the likelihood of the signals a few mm away. ``duplicates``: distance of
 # the label to those of the most similar signals, relative to the usual distance.
-SCORES = ("doubt", "disagreement", "uncertainty", "duplicates")
+SCORES = ("doubt", "disagreement", "training", "duplicates")
 
 MODEL_PREFIX = "model:"
 
@@ -120,7 +120,7 @@ def disagreement(head: Revision, suggestion: Suggestion) -> float | None:
 
 
 QUEUES = (
-    "unlabelled", "review", "returned", "doubt", "disagreement", "uncertainty", "coverage",
+    "unlabelled", "review", "returned", "doubt", "disagreement", "training", "coverage",
     "duplicates", "conflicts", "audit", "gold", "all",
 )  # fmt: skip
 
@@ -214,9 +214,9 @@ def episode_queue(
 
     - unlabelled: not yet accepted, oldest first, skipped ones last
     - review: submitted by others; returned: own labels and probes that were rejected
-    - doubt, disagreement, duplicates, uncertainty: highest score first. Labels that changed since
-      the score was computed are left out, except for uncertainty, which does not depend on the
-      label and lists episodes that are not yet approved
+    - doubt, disagreement, duplicates: highest score first. Labels that changed since the score was
+      computed are left out
+    - training: not yet accepted, highest score first, whatever the label
     - coverage: not yet approved, squares with the fewest approved labels first
     - conflicts: two labels since a merge; audit: a share drawn by ``seed``
     - gold: control items, a share of the approved labels of others, answered blind and once each;
@@ -286,10 +286,10 @@ def _drawn(uuids: list[str], seed: int) -> list[str]:
     return [uuid for value, uuid in thrown if value < AUDIT_SHARE * 2**64]
 
 
-# A score counts while the label is the one it was computed for; uncertainty needs no label.
+# A score counts while the label is the one it was computed for; training needs no label.
 _VALID_SCORE = (
     "score s ON s.episode = h.episode AND s.name = :score"
-    " AND (s.rev_uuid = h.rev_uuid OR s.name = 'uncertainty')"
+    " AND (s.rev_uuid = h.rev_uuid OR s.name = 'training')"
 )
 _TEXT = (
     "lower(e.piece || ' ' || e.bottom || ' ' || e.person || ' ' || e.grip_id || ' ' || h.authors"
@@ -313,7 +313,7 @@ _QUERIES = {
     ),
     "doubt": _SAME_LABEL,
     "disagreement": _SAME_LABEL,
-    "uncertainty": _BY_SCORE.format("h.stage IN ('unlabelled', 'review')"),
+    "training": _BY_SCORE.format("h.stage = 'unlabelled'"),
     "duplicates": _SAME_LABEL,
     "conflicts": _IN_ORDER.format("stage = 'conflicts'"),
     "audit": _IN_ORDER.format("stage IN ('review', 'approved')"),

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend.annotations import Pair
 from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE
 from touchdown.backend.core import (
     CHANNELS,
@@ -99,16 +101,16 @@ class OffsetGrid:
         return OffsetFit((float(mean[0]), float(mean[1])), math.sqrt(spread + cell))
 
 
+@lru_cache(maxsize=16)
+def pair_grid(pair: Pair) -> OffsetGrid:
+    """Return the candidate offsets of a pair of a dataset; of the latest pairs, from a cache."""
+    return OffsetGrid.of(pair.points_mm, pair.bottom)
+
+
 def sigmas_apart(label_mm: tuple[float, float], label_sigma_mm: float, model: OffsetFit) -> float:
     """Return the distance of a label from a model's offset, in joint standard uncertainties."""
     distance = math.dist(label_mm, model.offset_mm)
     return distance / math.hypot(label_sigma_mm, model.sigma_mm)
-
-
-def mean_entropy(probability: FloatArray) -> float:
-    """Return the mean entropy of the points (N,) in nat."""
-    p = np.clip(probability, 1e-12, 1 - 1e-12)
-    return float(-(p * np.log(p) + (1 - p) * np.log1p(-p)).mean())
 
 
 class Estimator:
@@ -229,15 +231,12 @@ class Estimator:
 class EnsembleEstimate:
     """Offset with its joint sigma, and the mean patch of the members.
 
-    ``spread_mm``: standard deviation between the members per axis. ``entropy`` of the mean patch,
-    and ``knowledge``, its part due to disagreement of the members (BALD), in nat per point.
+    ``spread_mm``: standard deviation between the members per axis.
     """
 
     fit: OffsetFit
     patch: ContactPatch
     spread_mm: float
-    entropy: float
-    knowledge: float
 
 
 class Ensemble:
@@ -262,10 +261,8 @@ class Ensemble:
         fits = [grid.fit(patch) for patch in patches]
         p = np.stack([patch.probability for patch in patches])
         mean = ContactPatch(patches[0].points_mm.copy(), p.mean(axis=0))
-        entropy = mean_entropy(mean.probability)
-        own = float(np.mean([mean_entropy(row) for row in p]))
         fit, spread_mm = mix_fits(fits)
-        return EnsembleEstimate(fit, mean, spread_mm, entropy, max(entropy - own, 0.0))
+        return EnsembleEstimate(fit, mean, spread_mm)
 
 
 def mix_fits(fits: Sequence[OffsetFit]) -> tuple[OffsetFit, float]:

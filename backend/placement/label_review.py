@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist, squareform
 
 from touchdown.backend.annotations import (
     MODEL_PREFIX,
@@ -24,7 +25,7 @@ from touchdown.backend.annotations import (
     disagreement,
 )
 from touchdown.backend.core import TACTILE_CHANNELS, FloatArray, InputError
-from touchdown.backend.placement.estimator import Ensemble, OffsetGrid
+from touchdown.backend.placement.estimator import Ensemble, pair_grid
 
 ALIKE_FEWEST = 30  # fewest episodes of a pair for a comparison of similar signals
 ALIKE = 40  # number of most similar signals used for the fit
@@ -179,6 +180,30 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)
+COMPARED_TICKS = [4, 9, 14, 19]  # of a press, for the comparison of signals
+MAX_COMPARED, MAX_PICKS = 1500, 300  # most episodes of a piece that are compared, and ordered
+
+
+def training_order(signals: NDArray[np.floating], labelled: NDArray[np.bool_]) -> list[int]:
+    """Return the indices of the episodes to label next, most informative first.
+
+    ``signals`` (n, 4, 258) of a press, of which markers, forces and moments count alike. A label
+    stands for similar episodes: the next one adds most to the sum, over all episodes, of the
+    likeness to the nearest of the ``labelled`` (n,) ones (greedy facility location).
+    """
+    kinds = np.split(signals - signals.mean(axis=0), (TACTILE_CHANNELS, TACTILE_CHANNELS + 3), 2)
+    scaled = [kind.reshape(len(kind), -1) / max(np.linalg.norm(kind), 1e-9) for kind in kinds]
+    left, sizes, _ = np.linalg.svd(np.hstack(scaled), full_matrices=False)
+    apart = squareform(pdist(left[:, :PARTS] * sizes[:PARTS], "sqeuclidean"))
+    likeness = np.exp(-apart / max(2.0 * float(np.median(apart)), 1e-12))
+    nearest = likeness[:, labelled].max(axis=1, initial=0.0)
+    free, order = ~labelled, list[int]()
+    for _ in range(min(int(free.sum()), MAX_PICKS)):
+        gain = np.maximum(likeness - nearest[:, None], 0.0).sum(axis=0)
+        order.append(int(np.where(free, gain, -1.0).argmax()))
+        free[order[-1]] = False
+        nearest = np.maximum(nearest, likeness[:, order[-1]])
+    return order
 
 
 @dataclass(slots=True)
@@ -192,11 +217,11 @@ class _PairSignals:
 
 @dataclass(slots=True)
 class _ModelResults:
-    """Results of the models of one piece; ``felt`` per pair."""
+    """Results of the models of one piece: ``signals`` (4, 258), and ``felt`` per pair."""
 
     suggestion: dict[str, Label] = field(default_factory=dict)
-    entropy: dict[str, float] = field(default_factory=dict)
     apart: dict[str, float] = field(default_factory=dict)
+    signals: dict[str, NDArray[np.floating]] = field(default_factory=dict)
     felt: dict[str, _PairSignals] = field(default_factory=lambda: defaultdict(_PairSignals))
 
 
@@ -212,11 +237,10 @@ def score_labels(
     """
     entries = dataset.episodes(EpisodeFilter(accepted=True))
     found: dict[str, _ModelResults] = defaultdict(_ModelResults)
-    grids: dict[str, OffsetGrid] = {}
     for number, entry in enumerate(entries, start=1):
         models = models_of(entry.piece)
         if models is not None and entry.file_state == "complete":
-            _score(dataset, entry, models, grids, found[models.weights])
+            _score(dataset, entry, models, found[models.weights])
         if not progress(number, len(entries)):
             break
     for weights, part in found.items():
@@ -224,26 +248,16 @@ def score_labels(
     return sum(len(part.suggestion) for part in found.values())
 
 
-def _score(
-    dataset: Dataset,
-    entry: EpisodeEntry,
-    models: Ensemble,
-    grids: dict[str, OffsetGrid],
-    found: _ModelResults,
-) -> None:
+def _score(dataset: Dataset, entry: EpisodeEntry, models: Ensemble, found: _ModelResults) -> None:
     try:
         episode = dataset.film(entry.uuid).episode
-        if entry.geometry not in grids:
-            pair = dataset.geometry.pair(entry.geometry)
-            grids[entry.geometry] = OffsetGrid.of(pair.points_mm, pair.bottom)
-        says = models.judge(episode, grids[entry.geometry])
+        says = models.judge(episode, pair_grid(dataset.geometry.pair(entry.geometry)))
     except (InputError, ValueError):
         return
     x_um, y_um = (round(1e3 * value) for value in says.fit.offset_mm)
     suggested = Label(x_um, y_um, 0, round(1e3 * says.fit.sigma_mm))
     head = dataset.labels.head(entry.uuid)
     found.suggestion[entry.uuid] = suggested
-    found.entropy[entry.uuid] = says.entropy
     source: Source = f"{MODEL_PREFIX}{models.weights}"
     apart = disagreement(head, Suggestion(suggested, source, 0))
     # Labels from these models agree with them and are not compared.
@@ -254,11 +268,14 @@ def _score(
     felt.probability.append(says.patch.probability)
     settled = episode.observation[-SETTLED_TICKS:, TACTILE_CHANNELS:].mean(axis=0)
     felt.wrench.append(np.asarray(settled, dtype=np.float64))
+    if head.state != "rejected":
+        found.signals[entry.uuid] = episode.observation[COMPARED_TICKS]
 
 
 def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
     dataset.scores.suggest(found.suggestion, weights)
-    dataset.scores.put("uncertainty", found.entropy, weights)
+    if found.signals:
+        dataset.scores.put("training", _training_scores(dataset, found), weights)
     dataset.scores.put("disagreement", found.apart, weights)
     for felt in found.felt.values():
         offsets = np.stack([dataset.labels.head(uuid).label.offset_mm for uuid in felt.uuids])
@@ -274,3 +291,11 @@ def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
             told = zip(uuids, values.tolist(), strict=True)
             scores = {uuid: value for uuid, value in told if np.isfinite(value)}
             dataset.scores.put(name, scores, weights)
+
+
+def _training_scores(dataset: Dataset, found: _ModelResults) -> dict[str, float]:
+    """Return 1 for the unlabelled episode to label first, less for the next ones."""
+    uuids = np.random.default_rng(0).permutation(sorted(found.signals))[:MAX_COMPARED].tolist()
+    labelled = [dataset.labels.head(uuid).state in ("submitted", "approved") for uuid in uuids]
+    order = training_order(np.array([found.signals[uuid] for uuid in uuids]), np.array(labelled))
+    return {uuids[k]: 1.0 - place / len(order) for place, k in enumerate(order)}

@@ -316,7 +316,7 @@ def edit(x_mm=1.0, sigma_mm=0.15):
 def item(seen=None, model=None, pictures=True, doubt=None):
     place = None if seen is None else OffsetFit(seen, 0.12)
     scene = SceneObservation(IMAGES, BOARD, place) if pictures else None
-    felt = None if model is None else ModelLabel(OffsetFit(model, 0.5), 0.1, "ab" * 32)
+    felt = None if model is None else ModelLabel(OffsetFit(model, 0.5), "ab" * 32)
     return SimpleNamespace(scene=scene, model=felt, doubt=doubt)
 
 

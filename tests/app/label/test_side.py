@@ -307,6 +307,8 @@ def test_what_is_remembered_is_checked(start):
     dropped = desk.workspace.recall({"person": 7, "queue": "x", "sigma_mm": -1.0, "blind": "no"})
     assert sorted(dropped) == ["blind", "person", "queue", "sigma_mm"]
     assert desk.workspace.memory()["person"] == "Ann"
+    assert desk.workspace.recall({"queue": "uncertainty"}) == []
+    assert desk.workspace.session.queue == "training"  # its name since then
 
 
 def test_a_second_window_looks_but_does_not_write(start, folder):
@@ -507,3 +509,22 @@ def test_the_end_of_a_queue_says_what_it_gave_and_offers_the_next_one(desk):
     # An approved label can come back among them as a control item: its draw depends on the id.
     waiting = [uuid for uuid in presenter.walk.order if uuid not in submitted]
     assert (desk.workspace.session.queue, len(waiting)) == ("unlabelled", left)
+
+
+def test_a_training_is_offered_after_some_labels_of_the_queue_for_it(desk, monkeypatch):
+    monkeypatch.setattr("touchdown.app.label.presenter.RETRAIN_EVERY", 2)
+    presenter, step = desk.workspace.presenter, desk.main.window.next_step
+    order = presenter.walk.order[3::-1]
+    dataset = presenter.dataset
+    dataset.scores.put("training", {uuid: 4.0 - k for k, uuid in enumerate(order)}, "m")
+    presenter.choose_queue("training")
+    desk.settle()
+    assert presenter.walk.order == order
+    desk.do(KEY.Key_Return)
+    assert step.isHidden()
+    desk.do(KEY.Key_Return)
+    text = "Best for training: 2 episodes done. 2 labels for a training."
+    assert (step.text.text(), step.yes.text()) == (text, "Train on them")
+    assert desk.uuid == order[2]
+    desk.do((KEY.Key_Period, CTRL))
+    assert desk.main.window.front == "train"

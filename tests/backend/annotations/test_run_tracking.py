@@ -345,16 +345,16 @@ def test_injected_errors_come_first_in_the_queue_of_disagreement(dataset):
     assert score == (dataset.labels.head(first[1]).rev_uuid, values[first[1]])
 
 
-def test_uncertain_and_duplicate_signals(dataset, record):
+def test_what_to_label_first_and_duplicate_signals(dataset, record):
     a, b, c = (record().uuid for _ in range(3))
-    dataset.scores.put("uncertainty", {a: 0.1, b: 0.7, c: 0.4, "gone": 9.0}, "m")
+    dataset.scores.put("training", {a: 0.1, b: 0.7, c: 0.4, "gone": 9.0}, "m")
     dataset.scores.put("duplicates", {a: 1.1, c: 7.5}, "m")
-    assert dataset.queue("uncertainty", "ann") == [b, c, a]
+    assert dataset.queue("training", "ann") == [b, c, a]
     assert dataset.queue("duplicates", "ann") == [c, a]
+    dataset.labels.set("ann", c, Label(5, 5))
+    assert dataset.queue("training", "ann") == [b, c, a]
     dataset.labels.accept("ann", b)
-    assert dataset.queue("uncertainty", "ann") == [b, c, a]
-    dataset.labels.approve("bob", b)
-    assert dataset.queue("uncertainty", "ann") == [c, a]
+    assert dataset.queue("training", "ann") == [c, a]
     with pytest.raises(InputError, match="no score"):
         dataset.scores.put("beauty", {a: 1.0}, "m")
 

@@ -283,7 +283,7 @@ class TellsNothing:
 
     def judge(self, episode: Episode, grid: object) -> EnsembleEstimate:
         patch = ContactPatch(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([0.3, 0.6]))
-        return EnsembleEstimate(OffsetFit((1.0, -2.0), 0.4), patch, 0.1, 0.5, 0.1)
+        return EnsembleEstimate(OffsetFit((1.0, -2.0), 0.4), patch, 0.1)
 
 
 def test_labels_are_compared_by_the_wrench_of_the_settled_press(

@@ -41,7 +41,7 @@ from touchdown.backend.placement.equilibrium import (
     pressed_at_mm,
     signed_margin_mm,
 )
-from touchdown.backend.placement.estimator import mean_entropy, mix_fits
+from touchdown.backend.placement.estimator import mix_fits
 from touchdown.backend.placement.label_review import (
     ALIKE_FEWEST,
     DOUBT_FEWEST,
@@ -49,6 +49,7 @@ from touchdown.backend.placement.label_review import (
     displacement_doubt,
     neighbour_residual,
     summarise_signals,
+    training_order,
 )
 from touchdown.backend.simulation.batch import BatchPlan, simulate_episodes
 
@@ -198,7 +199,7 @@ def test_one_member_is_what_it_says_alone(grid):
     alone, says = grid.fit(member.estimate(None)), Ensemble([member]).judge(None, grid)
     assert says.fit.offset_mm == pytest.approx(alone.offset_mm)
     assert says.fit.sigma_mm == pytest.approx(alone.sigma_mm)
-    assert (says.spread_mm, says.knowledge) == (0.0, pytest.approx(0.0, abs=1e-9))
+    assert says.spread_mm == 0.0
 
 
 def test_members_who_differ_know_less(grid):
@@ -207,7 +208,6 @@ def test_members_who_differ_know_less(grid):
     fits = [grid.fit(member.estimate(None)) for member in members]
     assert says.fit.offset_mm[0] == pytest.approx(np.mean([f.offset_mm[0] for f in fits]))
     assert says.fit.sigma_mm > max(f.sigma_mm for f in fits) * 0.99
-    assert says.knowledge > 0.0
     p = np.mean([member.estimate(None).probability for member in members], axis=0)
     np.testing.assert_allclose(says.patch.probability, p)
     assert Ensemble(members).weights == Ensemble(members[::-1]).weights == "aa+bb"
@@ -412,7 +412,9 @@ def test_wrong_labels_come_first(dataset):
     assert dataset.queue("doubt", "Ann") == []  # too few to tell what is felt where
     assert dataset.queue("disagreement", "Ann") == order
     assert len(wrong & set(dataset.queue("duplicates", "Ann")[: 2 * LABEL_SCORES_WRONG])) >= 2
-    assert len(dataset.queue("uncertainty", "Ann")) == EPISODES
+    first, *others = dataset.queue("training", "Ann")
+    assert len(others) == EPISODES - 1
+    assert dataset.scores.of_revision("training", first)[1] == 1.0
     assert {entry.uuid: dataset.labels.head(entry.uuid) for entry in dataset.episodes()} == before
     suggestion = dataset.scores.suggestion(order[0])
     assert suggestion.source == f"model:{models.weights}"
@@ -422,7 +424,57 @@ def test_wrong_labels_come_first(dataset):
 def test_stopping_keeps_what_was_found(dataset):
     models = Ensemble([Estimator.load(shipped_model("pot"), load_pieces().top("pot"))])
     assert score_labels(dataset, lambda piece: models, lambda k, n: k < 5) == 5
-    assert len(dataset.queue("uncertainty", "Ann")) == 5
+    order = dataset.queue("training", "Ann")
+    assert len(order) == 5
+    labels = dataset.labels
+    for uuid in order[:2]:
+        labels.accept("Ann", uuid, labels.head(uuid).label)
+    labels.reject("Bob", order[0], "other")
+    labels.reject("Bob", order[2], "other")
+    assert score_labels(dataset, lambda piece: models, lambda k, n: k < 5) == 5
+    # The accepted one stands for the episodes like it; rejected ones teach nothing.
+    assert set(dataset.queue("training", "Ann")) == set(order[3:])
+    left = [dataset.scores.of_revision("training", uuid)[1] for uuid in order[3:]]
+    assert sorted(left) == [0.5, 1.0]
+
+
+def clusters(*sizes, spread=0.02):
+    """Return signals (n, 4, 258) of groups far apart, and the group (n,) of each."""
+    rng, group = np.random.default_rng(3), np.repeat(np.arange(len(sizes)), sizes)
+    middles = rng.normal(size=(len(sizes), 4, 258))
+    return middles[group] + spread * rng.normal(size=(len(group), 4, 258)), group
+
+
+def test_the_order_of_labels_covers_all_groups_before_it_repeats_one():
+    signals, group = clusters(7, 20, 12)
+    order = training_order(signals, np.zeros(len(group), dtype=bool))
+    assert group[order[:3]].tolist() == [1, 2, 0]  # the largest first
+    assert sorted(order) == list(range(39))
+    labelled = group == 1
+    rest = training_order(signals, labelled)
+    assert group[rest[:2]].tolist() == [2, 0]
+    assert not labelled[rest].any()
+    assert training_order(signals, np.ones(39, dtype=bool)) == []
+
+
+def test_each_label_makes_the_episodes_most_alike_a_labelled_one():
+    """A search over all candidates with loops, for signals of three dimensions."""
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(24, 3))
+    signals = np.zeros((24, 4, 258))
+    signals[:, 0, 3], signals[:, 2, 253], signals[:, 3, 257] = x.T * [[0.4], [30.0], [0.02]]
+    x = (x - x.mean(axis=0)) / x.std(axis=0)  # each kind of signal counts alike
+    apart = [[math.dist(a, b) ** 2 for b in x] for a in x]
+    width = 2 * np.median(apart)
+    alike = np.exp(-np.array(apart) / width)
+    taken = [4, 17]
+    for found in training_order(signals, np.isin(np.arange(24), taken)):
+        best = max(
+            (k for k in range(24) if k not in taken),
+            key=lambda k: sum(max(row[j] for j in [*taken, k]) for row in alike),
+        )
+        assert found == best
+        taken.append(found)
 
 
 POT = face_points(circle(15.0))
@@ -467,11 +519,6 @@ def test_what_is_no_patch_of_this_face_is_refused():
 
 def test_distance_in_joint_uncertainties():
     assert sigmas_apart((3.0, 4.0), 0.6, OffsetFit((0.0, 0.0), 0.8)) == pytest.approx(5.0)
-
-
-def test_entropy_is_greatest_where_the_model_is_unsure():
-    assert mean_entropy(np.full(9, 0.5)) == pytest.approx(math.log(2))
-    assert mean_entropy(np.array([0.0, 1.0])) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.slow

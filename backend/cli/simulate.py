@@ -84,7 +84,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     seconds = time.monotonic() - began_s
     done = [spec for spec in jobs if store.has(spec.id)]
     total = sum(spec.params["probes"] for spec in done)
-    redraws = total_redraws(Redraws(**store.result(spec.id)) for spec in done)
+    redraws = total_redraws([Redraws(**store.result(spec.id)) for spec in done])
     screen.say(
         f"{total} simulated episodes in {seconds:.1f} s, {redraws.drawn_again} probes drawn again, "
         f"{redraws.unsolved} of them without a balance in the simulation: {out}"
@@ -129,5 +129,5 @@ def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
             piece, catalogue.bottom(name), settings, args.episodes, args.seed,
             args.probes_per_grip, args.grips_per_mounting,
         )  # fmt: skip
-        jobs += collection_jobs(plan, piece, start_ns, folder)
+        jobs += collection_jobs(plan, piece, start_ns, folder, last=name == names[-1])
     return jobs

@@ -78,19 +78,19 @@ def batch_plan(  # noqa: PLR0913 - each is a value of the plan
 
 
 def split_jobs(
-    plan: BatchPlan, label: Mapping[str, object], folder: Path, start_ns: int | None = None
-) -> list[CollectionJob]:
-    """Split a plan into jobs; those of a large plan have more grips, which is faster."""
-    size = min(max(plan.grips // JOBS_PER_PLAN, GRIPS_PER_JOB[0]), GRIPS_PER_JOB[-1])
+    plan: BatchPlan, label: Mapping[str, object], folder: Path, start_ns: int | None = None,
+    least: int = JOBS_PER_PLAN,
+) -> list[CollectionJob]:  # fmt: skip
+    """Split a plan into ``least`` or more jobs; those of a large plan have more grips."""
+    size = min(max(plan.grips // least, GRIPS_PER_JOB[0]), GRIPS_PER_JOB[-1])
     size = max(size, -(-PROBES_PER_JOB // plan.probes_per_grip))
-    stem = f"{plan.piece}-{plan.bottom}"
     return [
         CollectionJob(
             plan,
             range(first, min(first + size, plan.grips)),
             label,
             folder,
-            f"{stem}-{k:03d}",
+            f"{plan.piece}-{plan.bottom}-{k:03d}",
             start_ns,
         )
         for k, first in enumerate(range(0, plan.grips, size))
@@ -148,21 +148,22 @@ class Redraws(NamedTuple):
 
 
 def collection_jobs(
-    plan: BatchPlan, piece: Piece, start_ns: int, pieces: Path | None
+    plan: BatchPlan, piece: Piece, start_ns: int, pieces: Path | None, *, last: bool = True
 ) -> list[JobSpec]:
-    """Return the jobs of a plan, for ``collect_packs``; ``pieces``: folder of further pieces."""
+    """Return the jobs of a plan, smaller ones of the ``last``; ``pieces``: further piece files."""
+    least = JOBS_PER_PLAN if last else 1  # large batches are faster; small last ones end together
     common = {
         "piece": plan.piece, "bottom": plan.bottom, "bench": plan.settings.model_dump(mode="json"),
         "episodes": plan.episodes, "probes_per_grip": plan.probes_per_grip,
         "grips_per_mounting": plan.grips_per_mounting, "start_ns": start_ns,
-        "pieces": None if pieces is None else str(pieces.resolve()),
+        "pieces": None if pieces is None else str(pieces.resolve()), "least": least,
     }  # fmt: skip
     return [
         JobSpec(
             "collection", {**common, "job": k, "probes": job.episodes}, plan.seed,
             (piece.sha256,), program_version(),
         )
-        for k, job in enumerate(split_jobs(plan, {}, Path()))
+        for k, job in enumerate(split_jobs(plan, {}, Path(), least=least))
     ]  # fmt: skip
 
 
@@ -175,7 +176,7 @@ def collect_packs(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         piece, library.bottom(p["bottom"]), parse_settings(SimulationSettings, p["bench"], "job"),
         p["episodes"], spec.seed, p["probes_per_grip"], p["grips_per_mounting"],
     )  # fmt: skip
-    jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder, p["start_ns"])
+    jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder, p["start_ns"], p["least"])
     return run_job(jobs[p["job"]])._asdict()
 
 
@@ -196,7 +197,6 @@ def run_job(job: CollectionJob) -> Redraws:
     return total_redraws([Redraws(batch.rejected, batch.unsolved) for batch in batches])
 
 
-def total_redraws(parts: Iterable[Redraws]) -> Redraws:
+def total_redraws(parts: Sequence[Redraws]) -> Redraws:
     """Return the sums of all parts."""
-    parts = list(parts)
     return Redraws(sum(p.drawn_again for p in parts), sum(p.unsolved for p in parts))

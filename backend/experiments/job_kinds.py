@@ -76,7 +76,7 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         p["grips_per_mounting"],
     )  # fmt: skip
     jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder)
-    redraws = total_redraws(map(run_job, jobs))
+    redraws = total_redraws([run_job(job) for job in jobs])
     return {
         "bench_sha256": bench_sha256(settings),
         "episodes": plan.episodes,

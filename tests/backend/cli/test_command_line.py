@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
@@ -23,7 +24,7 @@ from tests.backend.bench.brisk import RATE_HZ
 from tests.backend.exchange.conftest import fill
 from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench import Session
-from touchdown.backend.cli import command_line
+from touchdown.backend.cli import command_line, simulate
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
 from touchdown.backend.cli.output import ctrl_c_cancels
@@ -481,6 +482,17 @@ def test_a_large_plan_has_wide_jobs_and_a_small_one_jobs_for_all_workers() -> No
     for episodes, widest in ((2_000, 20), (6_000, 30), (100_000, 100)):
         jobs = collection.split_jobs(plan(episodes=episodes, probes_per_grip=50), {}, None)
         assert max(len(job.grips) for job in jobs) == widest
+
+
+def test_only_the_last_plan_of_a_call_has_small_jobs(tmp_path: Path) -> None:
+    words = ["--episodes", "2000", "--out", str(tmp_path)]
+    parser = argparse.ArgumentParser()
+    simulate.add_arguments(parser)
+    jobs = simulate._jobs(parser.parse_args(words), 0)
+    sizes = [(job.params["bottom"], job.params["probes"]) for job in jobs]
+    assert sizes == [
+        ("circle15", 2000), ("circle25", 2000), ("square15", 1000), ("square15", 1000)
+    ]  # fmt: skip
 
 
 TRIAL_KEYS = {"seed", "outcome", "reason", "probes", "excess_probes", "margin_mm", "contradicted"}

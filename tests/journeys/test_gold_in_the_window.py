@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from itertools import count
 from pathlib import Path
@@ -119,19 +120,20 @@ KILLS = 20
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(
-    folder, monkeypatch, window, tmp_path
-):
+def test_no_nudge_is_lost_where_the_window_is_killed_0_6_s_after_it(monkeypatch, window, tmp_path):
     """Each window is the first of its person, who has not said how sure they are."""
-    with Dataset.open(folder, person="setup") as dataset:
-        context, label = context_for(dataset), Label(1000, -500, 0, 150)
-        for _ in range(KILLS):
-            dataset.record(small_episode(), label, source="commanded", context=context)
+    recorded = tmp_path / "recorded"
+    with Dataset.open(recorded, person="setup") as dataset:
+        label = Label(1000, -500, 0, 150)
+        dataset.record(small_episode(), label, source="commanded", context=context_for(dataset))
     for number in range(KILLS):
-        monkeypatch.setenv("TOUCHDOWN_CONFIG", str(tmp_path / f"config-{number}"))
-        monkeypatch.setenv("EPISODE", str(number))
+        # A dataset of its own: no window pages through the episodes of those before.
+        home = tmp_path / f"home-{number}"
+        shutil.copytree(recorded, home / "data" / "dataset")
+        monkeypatch.setenv("TOUCHDOWN_CONFIG", str(home / "config"))
+        monkeypatch.setenv("TOUCHDOWN_DATA", str(home / "data"))
         told = window("nudge-and-die", deadly=-1)
         nudged = next(one for one in told if "nudged" in one)
-        with Dataset.open(folder, create=False) as dataset:
+        with Dataset.open(home / "data" / "dataset", create=False) as dataset:
             label = dataset.labels.head(nudged["nudged"]).label
         assert (label.x_um, label.sigma_um) == (nudged["x_um"], 200), number

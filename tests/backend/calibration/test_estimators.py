@@ -338,7 +338,7 @@ def weighed(seed, mass_g, com_mm, grasp_mm=0.5, gripper_mm=(4.0, -3.0, 60.0)):
     return estimate_held_piece(empty, held, 30.0 + settings.height_mm)
 
 
-@pytest.mark.parametrize("mass_g", [100.0, 150.0, 300.0])
+@pytest.mark.parametrize("mass_g", [100.0, 300.0])
 def test_weighed_centres_of_mass_lie_within_two_sigma_of_the_truth(mass_g):
     com = np.array([3.0, -2.0, 18.0])
     found = [weighed(seed, mass_g, tuple(com)) for seed in range(100)]

@@ -431,7 +431,7 @@ def test_silent_and_unreadable_are_told_apart_without_internal_names(
     driver = make_force_torque(HardwareSettings.model_validate(tables), time.monotonic)
     front.start()
     with pytest.raises(FaultError) as caught:
-        driver.connect(0.4, threading.Event())
+        driver.connect(0.3, threading.Event())
     front.close()
     fault = caught.value.fault
     assert what in fault.what

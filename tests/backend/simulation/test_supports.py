@@ -352,7 +352,7 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     catalogue, settings = load_pieces(), SimulationSettings.model_validate({"preset": "hard"})
     tower = Tower((catalogue.bottom("long").body(),))
     piece = catalogue.top("mushroom")
-    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(24)]
+    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(12)]
     places = draw_offset(np.random.default_rng(5), piece.face, tower.bodies[0].upper, len(scenes))
     seen = []
 
@@ -374,7 +374,7 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
 
 # Scenes in which the supports pass a state without equilibrium: they tip about another edge, or the
 # face loses its hold.
-SNAPPING = [(("short", "long"), 44), (("short", "long"), 46), (("long",), 12)]
+SNAPPING = [(("short", "long"), 46), (("long",), 12)]
 
 
 def unsteady_scene(bottoms: tuple[str, ...], seed: int) -> Scene:

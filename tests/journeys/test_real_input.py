@@ -21,9 +21,10 @@ from touchdown.backend.runs.event_log import read_events
 
 WIDTH, HEIGHT = 1600, 940
 REST = (1100, 470)  # a place without a control on the page of jogging
-PROBES = 8
+PROBES = 5
 # Fewer pictures cost less. The frame after the last tick comes within 80 ms, jitter included.
 BENCH = """preset = "mixed"
+cycle_us = 20000
 [tactile]
 rate_hz = 16
 drop_share = 0.0

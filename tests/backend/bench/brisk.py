@@ -1,8 +1,8 @@
-"""Simulated bench with the same course of events at a third of the cost.
+"""Simulated bench with the same course of events at a quarter of the cost.
 
-The course of a run depends neither on the image rate nor on the speed of free moves: half the
-images, and moves at the highest speed that the interlock allows. Recordings themselves are tested
-with the default settings.
+The course of a run depends neither on the image rate nor on the ways through the air: half the
+images, cycles of one step of the session, and short free moves at the highest speed that the
+interlock allows. Recordings themselves are tested with the default settings.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from touchdown.backend.config.simulation import SimulationSettings
 
 # Pictures a second and finger: still one in every 0.1 s between two ticks of a probe.
 RATE_HZ = 12.5
-PROBE = ProbeSettings(travel_mm_s=50.0)
-RELEASE = ReleaseSettings(open_mm_s=20.0)
+CYCLE_US = 20_000
+PROBE = ProbeSettings(travel_mm_s=50.0, start_height_mm=1.5, reference_frames=4)
+RELEASE = ReleaseSettings(open_mm_s=20.0, rise_mm=5.0)
 
 
 def brisk_method(**limits: object) -> StackSettings:
@@ -31,9 +32,10 @@ def brisk_method(**limits: object) -> StackSettings:
 def brisk_settings(preset: str = "mixed", rate_hz: float = RATE_HZ) -> SimulationSettings:
     """Return the settings of ``preset`` with a lower image rate.
 
-    No image is dropped: at this rate a single one would leave a gap.
+    No image is dropped or late: at this rate a single one would leave a gap.
     """
-    given = {"preset": preset, "tactile": {"rate_hz": rate_hz, "drop_share": 0.0}}
+    tactile = {"rate_hz": rate_hz, "drop_share": 0.0, "jitter_s": 0.0}
+    given = {"preset": preset, "cycle_us": CYCLE_US, "tactile": tactile}
     return SimulationSettings.model_validate(given)
 
 

@@ -58,7 +58,7 @@ def brisk():
 
 
 def test_a_script_runs_a_request_and_reads_its_trials():
-    with simulated_bench() as bench:
+    with brisk() as bench:
         result = bench.run(REQUEST)
     (trial,) = result.trials
     assert (trial.outcome, trial.seed, result.ending) == (Outcome.PLACED, 7, "finished")

@@ -20,7 +20,7 @@ import pytest
 from rich.console import Console
 
 from tests.backend.annotations.conftest import context_for, small_episode
-from tests.backend.bench.brisk import RATE_HZ
+from tests.backend.bench.brisk import CYCLE_US, RATE_HZ
 from touchdown.backend.annotations import Dataset, Label, list_backups
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import (
@@ -287,7 +287,8 @@ def test_each_campaign_has_a_seed_of_its_own_unless_one_is_named(data_set) -> No
 @pytest.mark.slow
 def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     bench = tmp_path / "bench.toml"
-    bench.write_text(f'preset = "quiet"\n[tactile]\nrate_hz = {RATE_HZ}\n', "utf-8")
+    settings = f'preset = "quiet"\ncycle_us = {CYCLE_US}\n[tactile]\nrate_hz = {RATE_HZ}\n'
+    bench.write_text(settings, "utf-8")
     words = ["--dataset", str(tmp_path / "ds"), "--runs", str(tmp_path / "runs")]
     words += ["--bench", str(bench)]
     given = ["--count", "2", "--probes-per-grip", "2", "--person", "ann"]

@@ -20,7 +20,7 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.backend.annotations.conftest import context_for, small_episode
-from tests.backend.bench.brisk import RATE_HZ
+from tests.backend.bench.brisk import CYCLE_US, RATE_HZ
 from tests.backend.exchange.conftest import fill
 from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench import Session
@@ -503,7 +503,7 @@ OUTCOMES = {"placed", "fell", "knocked_over", "gave_up", "asked", "aborted"}
 def bench(tmp_path: Path) -> str:
     """Settings of a bench with half the pictures."""
     path = tmp_path / "bench.toml"
-    path.write_text(f"[tactile]\nrate_hz = {RATE_HZ}\n", "utf-8")
+    path.write_text(f"cycle_us = {CYCLE_US}\n[tactile]\nrate_hz = {RATE_HZ}\n", "utf-8")
     return str(path)
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.backend.bench.brisk import brisk_bench, brisk_method
+from tests.backend.bench.brisk import brisk_bench, brisk_method, brisk_settings
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.connection import parse_outcome
 from touchdown.backend.config.method import StackSettings, TowerSettings
@@ -204,7 +204,8 @@ def raise_hand(session, z_mm):
 
 @pytest.fixture
 def session():
-    made = prepared(brisk_bench())
+    settings = brisk_settings().model_copy(update={"cycle_us": 10_000})  # as fine as braking needs
+    made = prepared(SimulatedBenchChoice(given=settings))
     turn(made, 0.6)
     return made
 

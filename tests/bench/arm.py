@@ -369,7 +369,7 @@ def pressed_in(bench: Bench, name: str, state: State) -> tuple[float, list[str]]
     return took_s, [f"{name}: {what}" for what, holds in rows.items() if not holds]
 
 
-SECONDS, BUSY, PRIORITY = 10.0, 1, 50
+SECONDS, BUSY, PRIORITY = 8.0, 1, 50
 WIRE_STOPS = 100
 Times = dict[str, float | str]
 CHILD = [sys.executable, "-m", "tests.bench.children.arm"]
@@ -468,7 +468,7 @@ def stop_to_wire() -> list[Figure]:
     return [at_most("STOP to the controller's socket, p99", p99, "ms", 20, told)]
 
 
-STATE_STOPS, TROUBLES, WIRE_MS = 20, 15, 20.0
+STATE_STOPS, TROUBLES, WIRE_MS = 20, 12, 20.0
 MODES = ("software", "controller")
 
 

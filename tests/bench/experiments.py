@@ -363,11 +363,11 @@ def centre_of_pressure_on_the_lattice() -> list[Figure]:
 HARD = SimulationSettings.model_validate({"preset": "hard"})
 
 
-@figure("experiments")
+@figure("experiments", long=True)
 def second_worker() -> list[Figure]:
     """Mass simulation through jobs: time of one worker over twice that of two."""
     scale = Scale("speed", 1000, 1, 1, 1, probes_per_grip=50)
-    jobs = [spec for spec in Recipe(scale, HARD, "bench").jobs() if spec.kind == "simulate"][:6]
+    jobs = [spec for spec in Recipe(scale, HARD, "bench").jobs() if spec.kind == "simulate"][:8]
     seconds = []
     for workers in (1, 2):
         with tempfile.TemporaryDirectory() as folder:
@@ -407,7 +407,7 @@ class PlainLoop:
     def __init__(self, rows: TrainingRows, trainer: Trainer) -> None:
         self.inputs = torch.from_numpy(np.asarray(rows.inputs(np.arange(len(rows))), np.float32))
         self.targets = torch.from_numpy(rows.patch.astype(np.float32))
-        self.split, self.batch = trainer.split, trainer.settings.batch
+        self.split, self.batch = trainer.split, TrainingSettings().batch
         self.model = new_model(trainer.model.shape, trainer.settings.seed)
         self.model.load_state_dict(trainer.model.state_dict())
         self.optimiser = torch.optim.Adam(self.model.parameters())  # rate 1e-3
@@ -430,7 +430,7 @@ class PlainLoop:
         return float(self.criterion(logits, self.targets[self.split.held_out]))
 
 
-PLAIN_EPOCHS, OWN_EPOCHS, PROBES_A_BOTTOM = 12, 5, 1000
+PLAIN_EPOCHS, OWN_EPOCHS, PROBES_A_BOTTOM = 12, 4, 1000
 
 
 @figure("peers")
@@ -438,7 +438,8 @@ def training_of_others() -> list[Figure]:
     """Training on 3,000 probes of the pot beside the plain loop: processor time, one thread.
 
     The target holds for the time until the lowest held-out loss of the plain loop, which is also
-    stopped there. The own training has its usual schedule and Muon.
+    stopped there, with the usual batch and rate. The own training has its usual schedule, Muon, and
+    a rate and a batch that suit it.
     """
     scale = Scale("peers", PROBES_A_BOTTOM, 1, 1, 1, probes_per_grip=50)
     with tempfile.TemporaryDirectory() as folder:
@@ -451,8 +452,8 @@ def training_of_others() -> list[Figure]:
     precisions = ["float32"] + ["bfloat16"] * computes_bfloat16(torch.device("cpu"))
     trainers = [
         Trainer(rows, TrainingSettings.model_validate(
-            {"optimiser": "Muon", "learning_rate": 3e-3, "epochs": OWN_EPOCHS, "precision": one,
-             "divide_series": True}
+            {"optimiser": "Muon", "learning_rate": 8e-3, "batch": 96, "epochs": OWN_EPOCHS,
+             "precision": one, "divide_series": True}
         ))
         for one in precisions
     ]  # fmt: skip

@@ -337,7 +337,7 @@ def _stated(name: str, times_ms: list[float], shares: tuple[int, ...], note: str
 
 
 # In every third grip the piece is 1 to 3 mm off its place along the jaws.
-SLIP_PROBES, PER_GRIP, EVERY = 96, 3, 3
+SLIP_PROBES, PER_GRIP, EVERY = 72, 3, 3
 
 
 @figure("labelling")

@@ -156,8 +156,8 @@ def share(name: str, apart_pc: Sequence[float], *, promised: bool = True) -> Fig
     return Figure(f"first probe: {name}", median_pc, "% off", target, ok, note)
 
 
-@figure("wired")
-def parts_of_the_first_probe(trials: int = TRIALS // 2) -> list[Figure]:
+@figure("wired", long=True)
+def parts_of_the_first_probe(trials: int = TRIALS) -> list[Figure]:
     noise, wires, behind, law = [], [], [], []
     for seed in range(FIRST_SEED, FIRST_SEED + trials):
         wanted = simulated_press(seed, NOISY)

@@ -46,7 +46,11 @@ SIZE = (1600, 940)
 WARM_UP_S, LOOK_S, SLICE_S = 3.0, 0.02, 5.0
 BLOCKED_S, FLOOD_S = 10.0, 10.0
 SLICES = 12  # pairs of slices for each comparison of machinery
-FLOOD_SLICES, FLOOD_SLICE_S = 5, 2.0  # pairs of slices for each kind of error in every frame
+FLOOD_SLICES, FLOOD_SLICE_S, DYING_S = (
+    5,
+    2.0,
+    3.0,
+)  # pairs of slices for each kind of error in every frame
 DECISIONS, HOLD_S, USUAL_SWITCH_S = 200, 0.08, 0.005
 FLOODS = ("view", "paint event", "bench")  # a view's redraw, a paint event, each step of the bench
 RAISED = ("SlotError", "TimerError", "PaintError", "ThreadError", "QueuedError")
@@ -331,16 +335,16 @@ def dying_training(window: Sliced) -> dict[str, object]:
         getattr(train.page.form, name).setValue(value)
     window.stack()
     for way, strike in MEMORY_FAILURES.items():
-        whens = {"before": window.slice_of(SLICE_S)}
+        whens = {"before": window.slice_of(DYING_S)}
         window.main.go("train")
         number = window.begin(train)
         window.main.go("stack")
-        whens["beside"] = window.slice_of(SLICE_S)
+        whens["beside"] = window.slice_of(DYING_S)
         strike(number)
-        whens["dying"] = window.slice_of(SLICE_S)
+        whens["dying"] = window.slice_of(DYING_S)
         assert "TRAINING-DIED" in window.main.cards.codes, window.main.cards.codes
         window.main.cards.clear(("TRAINING-DIED",))
-        whens["after"] = window.slice_of(SLICE_S)
+        whens["after"] = window.slice_of(DYING_S)
         found[way] = {when: asdict(one) for when, one in whens.items()}
     return {"ways": found}
 

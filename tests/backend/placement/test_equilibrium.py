@@ -455,6 +455,8 @@ def test_the_order_of_labels_covers_all_groups_before_it_repeats_one():
     assert group[rest[:2]].tolist() == [2, 0]
     assert not labelled[rest].any()
     assert training_order(signals, np.ones(39, dtype=bool)) == []
+    copies = np.repeat(signals[:2], 3, axis=0)
+    assert sorted(training_order(copies, np.zeros(6, dtype=bool))) == list(range(6))
 
 
 def test_each_label_makes_the_episodes_most_alike_a_labelled_one():

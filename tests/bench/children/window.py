@@ -1,13 +1,15 @@
 """Child that measures a window beside a simulated bench: ``python -m`` it with one of the words.
 
-``soak``: many simulated minutes on a stepped bench, with all pages in turn. ``start``: from the
+``soak``: a day on a stepped bench, in short form. ``start``: from the
 command to live pictures, then again in the same process with every module imported. ``pages``:
 change of page and dragging of pictures. ``rest``: memory and processor time without a run.
 ``load`` and seconds: frame times beside a live run. Prints one JSON object.
 """
 
 import gc
+import itertools
 import json
+import os
 import sys
 import tempfile
 import threading
@@ -24,13 +26,29 @@ from PySide6.QtWidgets import QApplication
 from shiboken6 import isValid
 
 from touchdown.app.application import TouchdownApp
+from touchdown.app.shell import lift_hand
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.stack.workspace import StackWorkspace
 from touchdown.app.start import THREAD_SWITCH_S, open_simulated_bench
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import STEP_US, Session
-from touchdown.backend.core import ActionChosen, Event
-from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice, StackRequest
+from touchdown.backend.core import (
+    ActionChosen,
+    EpisodeRecorded,
+    Event,
+    PatchEstimated,
+    RefusedError,
+    TrialFinished,
+)
+from touchdown.backend.runs import (
+    CollectRequest,
+    ProbeRequest,
+    RecordingOptions,
+    RunState,
+    SceneChoice,
+    SetRequest,
+    StackRequest,
+)
 from touchdown.widgets.base.freshness import PERIOD_MS
 
 STEP_S, MINUTES = 1e-6 * STEP_US, 30.0
@@ -39,6 +57,9 @@ PAGE_S, SAMPLE_S = 10.0, 10.0  # time per page; interval of the memory samples
 WARM_UP = 0.2  # share of the minutes in which caches may still fill
 START_MS = 60_000
 HEARTBEAT_MS = 10
+# Of a day: trials and probes of a run, labels at a time, commands for a sheet or another look.
+STACKED, COLLECTED, LABELS, SHOWN = 4, 6, 2, 12  # SHOWN: turns of the pump after an act
+SHEETS = ("keys", "palette", "limits", "calibrate", "layouts", "theme", "larger", "smaller")
 # More trials than any measurement lasts, so that trial changes are part of the load.
 TRIALS, FIRST_SEED = 500, 100
 RUN_UP_S, CHANGES, MOVES = 20.0, 60, 80  # simulated time before the pages; changes; moves a picture
@@ -58,7 +79,7 @@ def _close(application: QApplication, main: TouchdownApp) -> None:
 
 
 def soak(application: QApplication, folder: Path) -> dict[str, float]:
-    """Return the memory slope after the warm-up, frame rates, and what is left at the end."""
+    """Return the memory slope of a day after the warm-up, frame rates, what is left at the end."""
     threads = set(threading.enumerate())
     session = simulated_session(keep=RecordingOptions(folder / "runs"))
     session.prepare(SceneChoice())
@@ -68,30 +89,119 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
     main.window.show()
     main.attach(session)
     pictures = _Pictures(main)
-    memory, begun_s, seed = [], time.monotonic(), 100
+    day, memory, begun_s = _Day(main, session), [], time.monotonic()
     for step in range(round(60 * MINUTES / STEP_S)):
         if session.status().state is RunState.IDLE:
-            main.reset()
-            session.start(StackRequest(trials=20, seed=seed))
-            seed += 20
+            day.start_run()
         _step(main, session, step, pictures)
+        if step % round(PAGE_S / STEP_S) == round(PAGE_S / STEP_S) // 2:
+            day.act()
         if step % round(SAMPLE_S / STEP_S) == 0:
             gc.collect()
             memory.append(psutil.Process().memory_info().rss / 1e6)
             sys.stderr.write(f"minute {step * STEP_S / 60.0:.1f}: {memory[-1]:.1f} MB\n")
-    wall_s = time.monotonic() - begun_s
+    wall_s, pss_mb, done = time.monotonic() - begun_s, _pss_mb(), day.done()
     _close(application, main)
-    first = round(WARM_UP * len(memory))
-    at_min = np.arange(first, len(memory)) * SAMPLE_S / 60.0
+    at_min = np.arange(len(memory)) * SAMPLE_S / 60.0
+    warm, half = (round(share * len(memory)) for share in (WARM_UP, 0.5))
     return {
-        "slope_mb_per_min": float(np.polyfit(at_min, memory[first:], 1)[0]),
+        "slope_mb_per_min": float(np.polyfit(at_min[warm:], memory[warm:], 1)[0]),
+        "later_slope_mb_per_min": float(np.polyfit(at_min[half:], memory[half:], 1)[0]),
         "memory_mb": memory[-1],
-        "pss_mb": _pss_mb(),
+        "pss_mb": pss_mb,
+        **done,
         "wall_s": wall_s,
         **pictures.per_second(),
         "threads_left": len(set(threading.enumerate()) - threads),
         "timers_left": _active_timers(),
     }
+
+
+class _Day:
+    """An operator's day in short form: a run after the other, and acts on the page in front."""
+
+    def __init__(self, main: TouchdownApp, session: Session) -> None:
+        self._main, self._session, self._seeds = main, session, itertools.count(100, STACKED)
+        self._waits, self.counts = 0, dict.fromkeys(("trials", "probes", "sheets", "refused"), 0)
+        session.events.subscribe(self._take)  # on this thread: the bench is stepped
+        self._runs = itertools.cycle((self._set, self._probe, self._collect, self._stack))
+        self._sheets = itertools.cycle(SHEETS)
+        collect = main.workspaces["collect"]
+        collect.label.be("Ann")
+        until = QDeadlineTimer(START_MS)
+        while collect.presenter.dataset is None and not until.hasExpired():
+            QApplication.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents, 20)
+            main.pump.tick()
+        self._collected = collect
+
+    def start_run(self) -> None:
+        """Start the next run; where it is refused, lift the piece and wait some seconds."""
+        if self._waits:
+            self._waits -= 1
+            return
+        self._main.reset()
+        try:
+            next(self._runs)()
+        except RefusedError:
+            self.counts["refused"] += 1
+            lift_hand(self._session, self._main.cards)
+            self._waits = round(PAGE_S / STEP_S)
+
+    def act(self) -> None:
+        """Act on the page in front, and open the next sheet or look; all are closed again."""
+        main, front = self._main, self._main.window.front
+        if front == "collect":
+            self._collected.page.show_half("label")
+            self._show()
+            label = {command.name: command.run for command in self._collected.label.commands}
+            for name in ("nudge-right-100", "accept") * LABELS:
+                label[name]()
+                self._show()
+            self._collected.page.show_half("collect")
+        elif front == "review":
+            main.workspaces["review"].page.recording_chosen.emit(0)
+        elif front == "stack":
+            self._do("stack.compare", "stack.planned")
+        self._do(next(self._sheets))
+        self.counts["sheets"] += 1
+        for top in QApplication.topLevelWidgets():
+            if top is not main.window and top.isVisible():
+                top.close()
+
+    def done(self) -> dict[str, int]:
+        """Return how often each thing was done; labels are those accepted."""
+        states = self._collected.presenter.dataset.counts()
+        drafts = states.pop("draft", 0) + states.pop("unlabelled", 0)
+        return {**self.counts, "labels": sum(states.values()), "drafts": drafts}
+
+    def _do(self, *commands: str) -> None:
+        for name in commands:
+            self._main.actions.action(name).trigger()
+            self._show()
+
+    def _show(self) -> None:
+        for _ in range(SHOWN):
+            self._main.pump.tick()
+            QApplication.processEvents()
+
+    def _take(self, event: Event) -> None:
+        self.counts["trials"] += isinstance(event, TrialFinished)
+        self.counts["probes"] += isinstance(event, PatchEstimated | EpisodeRecorded)
+
+    def _set(self) -> None:
+        self._session.start(SetRequest(SceneChoice()))
+
+    def _probe(self) -> None:
+        self._session.start(ProbeRequest())
+
+    def _collect(self) -> None:
+        self._session.dataset = self._collected.presenter.dataset
+        self._session.start(
+            CollectRequest("pot", "circle15", COLLECTED, next(self._seeds), person="Ann")
+        )
+
+    def _stack(self) -> None:
+        self._session.start(StackRequest(trials=STACKED, seed=next(self._seeds)))
 
 
 class _Pictures:
@@ -376,6 +486,7 @@ def _wait(application: QApplication, done: Callable[[], bool], most_ms: int) -> 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as name:
+        os.environ["TOUCHDOWN_DATA"] = os.environ["TOUCHDOWN_CONFIG"] = name
         modes = {"soak": soak, "start": start, "pages": pages, "rest": rest, "load": load}
         measure = modes[sys.argv[1]]
         answer = measure(QApplication([]), Path(name))

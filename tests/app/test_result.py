@@ -41,6 +41,7 @@ from touchdown.backend.core.faults import InputError
 from touchdown.backend.devices.protocols import Health, SafetyMode
 from touchdown.backend.runs.requests import CalibrateRequest, RunState
 from touchdown.widgets.base.freshness import BUDGET_S
+from touchdown.widgets.forms import PoseReadout
 from touchdown.widgets.shell import state
 
 GOOD = CalibrationMeasured(
@@ -409,6 +410,16 @@ def test_every_page_fits_the_smallest_usual_window(live, name) -> None:
     live.go(name)
     settle(live)
     assert live.window._scrolls[name].horizontalScrollBar().maximum() == 0
+
+
+def test_the_largest_pose_is_shown_in_full_in_the_smallest_usual_window(live):
+    live.window.resize(1280, 720)
+    live.go("operate")
+    jog = live.workspaces["operate"].page.jog
+    jog.show_turning("")
+    settle(live)
+    jog.show_look(PoseReadout("X \N{MINUS SIGN}140.0   Y \N{MINUS SIGN}140.0   Z 333.3 mm"))
+    assert jog._pose.shown() == jog._pose.text()
 
 
 @pytest.mark.promise("W9")

@@ -61,6 +61,7 @@ class _RefusedEntry(QObject):
         box.lineEdit().setValidator(None)  # type: ignore[arg-type]
         box.lineEdit().textEdited.connect(self._edit)
         box.editingFinished.connect(self._finish)
+        box.valueChanged.connect(self._accept)
 
     def _edit(self, typed: str) -> None:
         box, edit = self._box, self._box.lineEdit()
@@ -75,6 +76,10 @@ class _RefusedEntry(QObject):
                 edit.setText(typed)
                 edit.setCursorPosition(at)
         set_property(box, "refused", "yes" if wrong else "no")
+
+    def _accept(self) -> None:
+        if not self._typed:  # an arrow or another form gave a number that fits
+            set_property(self._box, "refused", "no")
 
     def _finish(self) -> None:
         if self._typed and self._is_wrong():

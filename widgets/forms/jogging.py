@@ -335,7 +335,8 @@ class JogPad(base.Panel):
         pads.setContentsMargins(0, 2, 0, 2)
         self._note.setWordWrap(True)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        top = base.hbox((self._pose, 1), self.turn, self.frame)
+        # The pose has a line of its own, which also holds the largest numbers.
+        top = base.vbox(self._pose, base.hbox(1, self.turn, self.frame), spacing=0)
         middle = base.hbox(1, (self._field, 1000), 1)
         base.add_items(
             self.column, top, (middle, 1000), self.pace, base.hbox((self._note, 1), self.lift), 1

@@ -52,6 +52,8 @@ def test_what_a_field_cannot_hold_is_refused_with_the_allowed_range(box, typed):
     QApplication.processEvents()
     assert "20" in QToolTip.text()
     assert "mm is allowed" in QToolTip.text()
+    QTest.keyClick(box, Qt.Key.Key_Up)
+    assert (box.value(), box.property("refused")) == (6, "no")
     box.selectAll()
     QTest.keyClicks(box, "-7")
     assert box.property("refused") == "no"

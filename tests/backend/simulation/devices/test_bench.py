@@ -172,7 +172,7 @@ def test_a_bench_at_rest_is_advanced_at_once_and_gives_the_same_bytes(monkeypatc
         driven.press()
         driven.rest(0.5, step_us)
         driven.release()
-        driven.rest(1.0, step_us)
+        driven.rest(0.3, step_us)
         digests.append((driven.digest(), driven.gripper.status()))
         air.append(driven.bench._world._recent_n)
     assert digests[0] == digests[1]

@@ -352,7 +352,7 @@ def test_no_press_on_free_bottoms_is_harder_than_a_spring_can_make_it() -> None:
     catalogue, settings = load_pieces(), SimulationSettings.model_validate({"preset": "hard"})
     tower = Tower((catalogue.bottom("long").body(),))
     piece = catalogue.top("mushroom")
-    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(12)]
+    scenes = [Scene(piece, tower, (0.0, 0.0), seed, settings) for seed in range(24)]
     places = draw_offset(np.random.default_rng(5), piece.face, tower.bodies[0].upper, len(scenes))
     seen = []
 

@@ -452,7 +452,7 @@ def training_of_others() -> list[Figure]:
     precisions = ["float32"] + ["bfloat16"] * computes_bfloat16(torch.device("cpu"))
     trainers = [
         Trainer(rows, TrainingSettings.model_validate(
-            {"optimiser": "Muon", "learning_rate": 8e-3, "batch": 96, "epochs": OWN_EPOCHS,
+            {"optimiser": "Muon", "learning_rate": 1.2e-2, "batch": 128, "epochs": OWN_EPOCHS,
              "precision": one, "divide_series": True}
         ))
         for one in precisions

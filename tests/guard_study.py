@@ -1,9 +1,9 @@
 """Calibrate the guard and count its alarms: ``python -m tests.guard_study --out DIR``.
 
-On the bench itself and in the second world, on the bottoms of the tables, or with
-``--bottoms fresh`` on an outline of its own in each trial. No trial is in two of the three sets:
-calibration, sequences on the bench, runs in the second world. Writes the calibration beside the
-network, and ``guard.json``, which ``tests.fusion_tables`` renders; resumes.
+On the bench itself and in the second world, on the bottoms of the tables. No trial is in two of the
+three sets: calibration, sequences on the bench, runs in
+the second world. Writes the calibration beside the network, and ``guard.json``, which
+``tests.fusion_tables`` renders; resumes.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from touchdown.backend.learning.fused import (
     PowerMartingale,
     ScoreRanks,
     guard_path,
-    network_path,
+    shipped_path,
     signal_score,
 )
 from touchdown.backend.placement import FusedStrategy, load_network_of
@@ -335,8 +335,7 @@ def main() -> None:
     """Run the missing jobs and write the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--model", default="", help="file, or any (default: the default network)")
-    parser.add_argument("--bottoms", default=",".join(SINGLE_BOTTOMS), help=f"names, or {FRESH}")
+    parser.add_argument("--model", default="")
     parser.add_argument("--preset", default="bench-v1")
     for name, value in (("calibration", 40), ("sequences", 2), ("runs", 50), ("most", 5)):
         parser.add_argument(f"--{name}", type=int, default=value)
@@ -344,7 +343,7 @@ def main() -> None:
     study = GuardStudy(
         load_simulation(None, args.preset),
         package_version("touchdown"),
-        tuple((piece, bottom) for piece in PIECES for bottom in args.bottoms.split(",")),
+        tuple((piece, bottom) for piece in PIECES for bottom in SINGLE_BOTTOMS),
         args.calibration,
         args.sequences,
         runs=args.runs,
@@ -356,7 +355,7 @@ def main() -> None:
     executor = SerialExecutor({"guard-trials": guard_trials}, store)
     for _ in run_campaign(study.jobs(), executor, store):
         pass
-    weights = network_path(args.model)
+    weights = Path(args.model) if args.model else shipped_path()
     content = calibration(study, store).model_dump_json(indent=1)
     guard_path(weights).write_text(f"{content}\n", "utf-8")
     answer = json.dumps(study.answer(store), indent=1, sort_keys=True)

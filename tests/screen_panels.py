@@ -20,6 +20,7 @@ from tests.backend.runs.test_calibrated import SEEN
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.presenter import ConnectPresenter
+from touchdown.app.shell import bench_caption
 from touchdown.backend.bench.laboratory import calibrations_of, find_camera_conflicts
 from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.config import BenchDescription, TrainingSettings, load_lab
@@ -329,9 +330,11 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
     stage.live(0.0)
     bench.name, facts = "Bench 2", bench.description
     bench.description = BenchDescription(mode="hardware")
+    main.window.show_bench(bench_caption(bench))
     yield from _connecting(stage, folder)
     yield from _devices(stage, folder / "lab.toml", "connect-devices")
     bench.name, bench.description = "", facts
+    main.window.show_bench(bench_caption(bench))
     main.actions.action("limits").trigger()
     yield "limits"
     main.panels.limits.sheet.edit.click()
@@ -370,7 +373,7 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     wizard.identify.dataset.setText("lab/first-day")
     wizard.identify.show_line("fit, round 2: 1,204 of 2,304 ... about 3.5 min left")
     yield "identify"
-    reason = "Accepted: on 30 presses of 5 held-out grippings the error above the noise is 31 % of "
+    reason = "Better: on 30 presses of 5 held-out grippings the error above the noise is 31 % of "
     found = {
         "accepted": True, "reason": f"{reason}that of the nominal bench.", "used": ["mu_grip"],
         "report": str(folder / "bench.html"),

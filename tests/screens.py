@@ -348,7 +348,8 @@ class Stage:
         bench.set_state(RunState.RUNNING, trial=1, trials=20, probe=1, phase="press")
         self.live(1.0)
         yield "collect-running"
-        bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled", "by the operator"))
+        bench.events.publish(RunFinished(bench.clock_s(), "run", "cancelled",
+                                         "cancelled by the operator"))  # fmt: skip
         bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
         self.live(0.0)
         collect.page.show_half("label")

@@ -38,12 +38,15 @@ class IdentifySheet(BenchSheet):
         self.dataset.setAccessibleName(tr("Dataset"))
         self.choose = QPushButton(tr("Choose\N{HORIZONTAL ELLIPSIS}"))
         self.begin, self.cancel = QPushButton(tr("Identify")), QPushButton(tr("Cancel"))
-        self.accept_it, self.report = QPushButton(tr("Accept")), QPushButton(tr("Report"))
+        self.accept_it = QPushButton(tr("Write bench file"))
+        self.report = QPushButton(tr("Report"))
         self.accept_it.setToolTip(tr("Keep the bench file in the data folder, named by the time"))
         self.progress = QProgressBar()
         self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.table = FigureTable(theme, "Parameters", COLUMNS)
         self.table.empty = "No result yet"
+        ignored = self.table.sizePolicy().Policy.Ignored
+        self.table.setSizePolicy(ignored, ignored)  # it scrolls, not the sheet
         self._child, self._error, self._draft, self._page = QProcess(self), "", Path(), ""
         self._child.readyReadStandardError.connect(self._read)
         self._child.finished.connect(self._finished)
@@ -117,7 +120,7 @@ class IdentifySheet(BenchSheet):
         except OSError as error:
             self.note.setText(tr("The bench file cannot be kept: {}", error))
             return
-        self.note.setText(tr("Accepted: {}. Open it with touchdown app --bench FILE.", kept))
+        self.note.setText(tr("Written: {}. Open it with touchdown app --bench FILE.", kept))
         self.accept_it.setEnabled(False)
 
     def _finished(self, code: int) -> None:

@@ -253,7 +253,7 @@ class CalibrateSheet(BenchSheet):
             values = zip(found.names, found.values, found.sigmas, found.units, strict=True)
             rows = [(tr(quantity_name(value[0])), format_value(*value)) for value in values]
             lines, count = residual_lines(found), len(found.residuals)
-        self.plot.name = tr("Share of the limit, by check" if look.what == "day" else "Residuals")
+        self.plot.name = tr("Deviation, 1 = limit, by check" if look.what == "day" else "Residuals")
         self.plot.empty = look.empty
         self.plot.show_lines(lines, count)
         self.table.setVisible(bool(rows))
@@ -304,7 +304,7 @@ class CalibrateSheet(BenchSheet):
         page, seen = QWidget(), hbox(self._pictures, (self.plot, 1))
         vbox(
             self.title, self.figure, self.note, *self.steps, self.form, self.live, self.progress,
-            self.question, (seen, 1), self.table,
+            self.question, self.table, (seen, 1),
             parent=page, margins=(0, 0, 8, 0), spacing=8,
         )  # fmt: skip
         return page

@@ -101,7 +101,7 @@ class OriginCheckNote:
 def residual_text(note: OriginCheckNote | None) -> str:
     """Return residual, uncertainty, judgement and date as text."""
     if note is None:
-        return tr("Origin not checked yet.")
+        return tr("Origin as entered; checking it is optional.")
     x, y = (signed(v) for v in note.residual_mm)
     spread = f"\N{PLUS-MINUS SIGN} {note.sigma_mm:.2f} mm"
     said = tr("agrees with the origin") if note.agrees else tr("does not agree with the origin")

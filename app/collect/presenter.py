@@ -476,7 +476,7 @@ class CollectPresenter:
             came = plan.count - left - len(plan.skipped)
             target.show_progress(came, plan.count, target.eta.text())
             if self._gave:
-                self.ended(f"{pair}: {self._gave}", left)
+                self.ended(tr("Collection of {}: {}", pair, self._gave), left)
                 self._gave = ""
 
         self._reader.submit(look, done, self._failed)

@@ -85,6 +85,7 @@ class CollectWorkspace(shell.Workspace):
         self._bench: Session | None = None
         # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None
+        self._offered: Callable[[], None] = lambda: None  # the way to Label
         self.label.opened = self._take_dataset
         self.label.refused = self._miss_dataset
         self.label.person_changed = self._show_person
@@ -219,6 +220,7 @@ class CollectWorkspace(shell.Workspace):
 
     def _half_came(self, name: str) -> None:
         if name == LABEL:
+            self._context.offer("", "", self._offered)
             self.label.enter()
             return
         self.label.leave()
@@ -241,7 +243,10 @@ class CollectWorkspace(shell.Workspace):
             if left:
                 self.collect_page.target.go_on.setFocus()
 
-        self._context.offer(gave, tr("Continue: {:,} left", left) if left else "Label them", show)
+        step = tr("Continue: {:,} left", left) if left else "Label the episodes"
+        if left or not self.page.isVisible() or self.page.front != LABEL:
+            self._context.offer(gave, step, show)
+            self._offered = self._offered if left else show
 
     # -- orders -----------------------------------------------------------------------------------
 

@@ -126,17 +126,17 @@ ANY = "any"
 FIELDS = (
     DeviceField("ft.driver", "F/T", "Make", chosen=True),
     DeviceField("ft.address", "F/T", "Port or address", chosen=True),
-    DeviceField("serials.force_torque", "F/T", "Number that must answer", empty=ANY),
-    DeviceField(LEFT, "Tactile L", "Number on the sensor", chosen=True),
-    DeviceField(RIGHT, "Tactile R", "Number on the sensor", chosen=True),
+    DeviceField("serials.force_torque", "F/T", "Serial number expected", empty=ANY),
+    DeviceField(LEFT, "Tactile L", "Serial number", chosen=True),
+    DeviceField(RIGHT, "Tactile R", "Serial number", chosen=True),
     DeviceField("wsg.driver", "Gripper", "Make", chosen=True),
     DeviceField("wsg.host", "Gripper", "Address"),
     DeviceField("wsg.port", "Gripper", "Port"),
-    DeviceField("serials.gripper", "Gripper", "Number that must answer", empty=ANY),
+    DeviceField("serials.gripper", "Gripper", "Serial number expected", empty=ANY),
     DeviceField("melfa.driver", "Arm", "Make", chosen=True),
     DeviceField("melfa.host", "Arm", "Address"),
     DeviceField("melfa.r3.port", "Arm", "Port of the commands"),
-    DeviceField("serials.arm", "Arm", "Number that must answer", empty=ANY),
+    DeviceField("serials.arm", "Arm", "Serial number expected", empty=ANY),
 )
 
 
@@ -181,7 +181,7 @@ class DevicesPresenter:
         if self._bench.description.mode != "hardware":
             said = tr("The devices of this bench are emulated: there is nothing to search for.")
         elif not cameras and not ports:
-            said = tr("No camera or serial port is plugged in. Plug it in, then press Look again.")
+            said = tr("No camera or serial port was found here. Plug it in, then press Look again.")
         else:
             both = cameras or tr("none"), ports or tr("none")
             said = tr("Plugged in: cameras {}; serial ports {}.", *both)

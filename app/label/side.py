@@ -165,7 +165,7 @@ class KeyboardLineEdit(QLineEdit):
             super().keyPressEvent(event)
 
 
-TABS = ("History", "Agree", "Log", "Bulk", "Health")
+TABS = ("History", "Agreement", "Log", "Bulk", "Health")
 HISTORY, BULK, HEALTH = 0, 3, 4
 
 
@@ -206,7 +206,7 @@ class SideTabs(Panel):
         for number, name in enumerate(TABS):
             button = QPushButton(tr(name))
             button.setCheckable(True)
-            button.setProperty("role", "header")
+            button.setProperty("role", "choice")
             self._buttons.addButton(button, number)
             self.header.insertWidget(number, button)
         self._buttons.idClicked.connect(self.choose)

@@ -80,7 +80,8 @@ def basis_text(edit: LabelDraft, model: OffsetFit | None, act: EnterAct) -> str:
         return tr("No displacement is set yet.")
     where = offset_text(edit.offset_mm, edit.sigma_mm if edit.changed else 0.0)
     if act:
-        takes = "Approve takes the label, {}" if act == "approve" else "Accept takes the label, {}"
+        approve = act == "approve"
+        takes = "Approve takes this position, {}" if approve else "Accept takes this position, {}"
         where = tr(takes, where)
     if edit.changed:
         return tr("{}. Not saved yet, {}.", where, source_text(edit.source))

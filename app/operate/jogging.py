@@ -254,8 +254,8 @@ def _room_words(what: str, room: devices.JogRange) -> str:
     if room.why:
         return tr(SHORT.get(room.why, "refused"))
     if devices.turns(_axis(what)):
-        return f"{math.degrees(room.left):.0f}\N{DEGREE SIGN}"
-    return f"{room.left:.0f} mm"
+        return f"\N{LESS-THAN OR EQUAL TO} {math.degrees(room.left):.0f}\N{DEGREE SIGN}"
+    return f"\N{LESS-THAN OR EQUAL TO} {room.left:.0f} mm"
 
 
 def _axis(what: str) -> devices.Axis:
@@ -278,13 +278,13 @@ KEYS: dict[int, str] = {
 # Digits choose the joint that the arrows drive; they do not move it.
 JOINT_KEYS: dict[int, int] = {int(Qt.Key.Key_1) + joint: joint + 1 for joint in range(JOINTS)}
 ROWS = (
-    ("Left", "Jog \N{MINUS SIGN}X while held (keys armed)"),
-    ("Right", "Jog +X while held (keys armed)"),
-    ("Up", "Jog +Y while held (keys armed)"),
-    ("Down", "Jog \N{MINUS SIGN}Y while held (keys armed)"),
-    ("PgUp", "Jog +Z while held (keys armed)"),
-    ("PgDown", "Jog \N{MINUS SIGN}Z while held (keys armed)"),
-    ("1", "Choose J1 for the arrows, 2 to 6 the others (keys armed, JOINT)"),
+    ("Left", "Jog \N{MINUS SIGN}X while held (keyboard jog)"),
+    ("Right", "Jog +X while held (keyboard jog)"),
+    ("Up", "Jog +Y while held (keyboard jog)"),
+    ("Down", "Jog \N{MINUS SIGN}Y while held (keyboard jog)"),
+    ("PgUp", "Jog +Z while held (keyboard jog)"),
+    ("PgDown", "Jog \N{MINUS SIGN}Z while held (keyboard jog)"),
+    ("1", "Choose J1 for the arrows, 2 to 6 the others (keyboard jog, JOINT)"),
 )
 
 

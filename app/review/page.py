@@ -63,6 +63,7 @@ class ReviewPage(WorkspacePage):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
+        self.story.setVerticalScrollMode(self.story.ScrollMode.ScrollPerItem)  # whole rows
         self.decision = DecisionPanel()
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.score = ScorePanel(theme, "Outcomes")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from touchdown.app import shell
 from touchdown.app.review.episodes import TrialRecording
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
-from touchdown.app.shell import TrialStory, belief_scene, true_patch_outline, unprobed_scene
 from touchdown.backend.core import Said, TrialFinished
 from touchdown.backend.geometry import Outline
 from touchdown.backend.runs import Bookmark
@@ -42,7 +43,7 @@ class ReplayPresenter:
         self.trial: TrialTimeline | None = None
         self.recorded = TrialRecording()
         self.cursor_s = 0.0
-        self._whole: TrialStory | None = None
+        self._whole: shell.TrialStory | None = None
         self._told: Sequence[str] = ()
         self._faces: tuple[Outline | None, Outline | None] = (None, None)
         self._said_s = np.zeros(0)
@@ -186,14 +187,11 @@ class ReplayPresenter:
         score = self.trial.score(self.trial.decided_s(probe), self._faces[1])
         return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
 
-    def _scene(self, story: TrialStory, index: int) -> BeliefScene:
-        scene = belief_scene(story, index, *self._faces)
+    def _scene(self, story: shell.TrialStory, index: int) -> BeliefScene:
+        scene = shell.belief_scene(story, index, *self._faces)
         if scene.truth is None and self._whole is not None:
-            truth = true_patch_outline(self._whole, story.probes[index], *self._faces)
-            scene = BeliefScene(
-                scene.belief, scene.stability, scene.path, scene.step_mm, scene.target_mm,
-                scene.clipped, scene.face, truth,
-            )  # fmt: skip
+            truth = shell.true_patch_outline(self._whole, story.probes[index], *self._faces)
+            scene = replace(scene, truth=truth)
         return scene
 
     def _show_belief(self) -> None:
@@ -204,17 +202,20 @@ class ReplayPresenter:
             return
         self._known = known
         story = None if trial is None else trial.story(self.cursor_s)
-        if story is None or not story.probes:
+        if trial is None or story is None or not story.probes:
             self._show_no_probe(story)
             return
-        if trial is not None and self._single:
+        if self._single:
             self._show_single(trial)
             return
         index = len(story.probes) - 1
         scene, look = self._scene(story, index), story.probes[index]
         page.belief.show_scene(scene)
         page.legend.show_truth(scene.truth is not None)
-        page.decision.show_text(decision_text(look.stability, look.action))
+        text = decision_text(look.stability, look.action)
+        if story.finished is not None:
+            text = shell.outcome_text(story, trial.head)
+        page.decision.show_text(text)
         count = len(self._whole.probes) if self._whole is not None else 0
         page.belief_panel.detail.setText(tr("probe {} of {}", look.probe, count))
         page.estimate.setText(patch_score_text(self.score()))
@@ -229,13 +230,13 @@ class ReplayPresenter:
         said = tr("Contact on {:.0f} % of the face.", 100 * share)
         self._page.decision.show_text(DecisionText("Single probe", "", "", said))
 
-    def _show_no_probe(self, story: TrialStory | None) -> None:
+    def _show_no_probe(self, story: shell.TrialStory | None) -> None:
         """Show why there is no map at the cursor."""
         page, whole = self._page, self._whole
         if whole is None:
             scene, text = BeliefScene(empty=("", "")), NO_RECORDING
         elif whole.probes or whole.finished is not None:
-            scene = BeliefScene() if whole.probes else unprobed_scene(whole)
+            scene = BeliefScene() if whole.probes else shell.unprobed_scene(whole)
             text = DecisionText("No probe", "", "", _ending(story))
         else:
             scene, text = BeliefScene(empty=NO_MAP), NO_READING
@@ -254,7 +255,7 @@ def _line(event: object) -> str:
     return ""
 
 
-def _ending(story: TrialStory | None) -> str:
+def _ending(story: shell.TrialStory | None) -> str:
     if story is None or story.finished is None:
         return tr("There is nothing to show at this time.")
     return story.finished.reason

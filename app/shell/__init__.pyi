@@ -57,11 +57,13 @@ from .live import LivePresenter as LivePresenter
 from .live import WorkspacePage as WorkspacePage
 from .live import column_of as column_of
 from .live import limit_height as limit_height
+from .run_story import PRESSING as PRESSING
 from .run_story import ProbeStory as ProbeStory
 from .run_story import RunStory as RunStory
 from .run_story import TrialStory as TrialStory
 from .run_story import belief_scene as belief_scene
 from .run_story import face_outlines as face_outlines
+from .run_story import outcome_text as outcome_text
 from .run_story import run_score as run_score
 from .run_story import true_patch_outline as true_patch_outline
 from .run_story import unprobed_scene as unprobed_scene

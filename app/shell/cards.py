@@ -143,7 +143,7 @@ def show_event(
         say(event.text)
     elif isinstance(event, core.RunFinished) and event.ending != "finished":
         was = "The run failed: {1}" if event.ending == "failed" else "The run was {}: {}"
-        say(tr(was, tr(event.ending), event.reason))
+        say(tr(was, tr(event.ending), event.reason.removeprefix(f"{event.ending} ")))
 
 
 def time_of_day() -> str:

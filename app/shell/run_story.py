@@ -9,11 +9,13 @@ from touchdown.backend import core
 from touchdown.backend.geometry import Outline, PieceLibrary, overlap_polygon
 from touchdown.backend.learning import rate_interval
 from touchdown.backend.runs import excluding_fault
+from touchdown.widgets import views
 from touchdown.widgets.base import tr
-from touchdown.widgets.views import BeliefScene, Score
 
 Offset = tuple[float, float]
 SEGMENTS = 96  # corners of a drawn circle
+PRESSING = frozenset({"press", "hold"})
+RELEASED = frozenset({core.Outcome.PLACED, core.Outcome.FELL, core.Outcome.KNOCKED_OVER})
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +157,15 @@ def true_patch_outline(
     return overlap_polygon(face, (x_mm - shift_x_mm, y_mm - shift_y_mm), bottom) + shift
 
 
-def unprobed_scene(trial: TrialStory) -> BeliefScene:
+def unprobed_scene(trial: TrialStory) -> views.BeliefScene:
     """Return the scene of a trial without an estimate, with the reason."""
-    if trial.finished is None:
-        return BeliefScene() if trial.weighed is None else BeliefScene(empty=_weight(trial.weighed))
-    return BeliefScene(empty=("No probe in this trial", "It ended before the first estimate."))
+    if trial.finished is not None:
+        empty = "No probe in this trial", "It ended before the first estimate."
+    elif trial.phase in PRESSING:
+        empty = "The first probe is running", "Its estimate fills the map."
+    else:
+        empty = views.NO_PROBE if trial.weighed is None else _weight(trial.weighed)
+    return views.BeliefScene(empty=empty)
 
 
 def _weight(found: core.PieceWeighed) -> tuple[str, str]:
@@ -175,7 +181,7 @@ def _weight(found: core.PieceWeighed) -> tuple[str, str]:
 
 def belief_scene(
     trial: TrialStory, index: int, face: Outline | None, bottom: Outline | None
-) -> BeliefScene:
+) -> views.BeliefScene:
     """Return the belief scene after probe ``index`` (from 0).
 
     The true overlap of ``face`` and ``bottom`` is shown only after the trial.
@@ -183,7 +189,7 @@ def belief_scene(
     look = trial.probes[index]
     truth = None if trial.finished is None else true_patch_outline(trial, look, face, bottom)
     action = look.action
-    return BeliefScene(
+    return views.BeliefScene(
         belief=look.belief,
         stability=look.stability,
         path=trial.path(index + 1),
@@ -196,7 +202,28 @@ def belief_scene(
     )
 
 
-def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
+def outcome_text(trial: TrialStory, head: core.RunStarted | None) -> views.DecisionText:
+    """Return the outcome of a finished trial, with the last estimate beside a true margin."""
+    done, margin, caption = trial.finished, "", views.ESTIMATED_MARGIN
+    assert done is not None
+    placed, text = done.outcome is core.Outcome.PLACED, done.reason
+    # Without a release the margin is not part of the outcome.
+    if done.outcome in RELEASED and done.margin_mm is not None:
+        margin = views.signed_mm(done.margin_mm)
+    last = trial.probes[-1].stability if trial.probes else None
+    if head is not None and head.simulated:
+        caption = views.TRUE_MARGIN
+        if margin and last is not None:
+            said = "{} Estimate: stands, {}." if last.stable else "{} Estimate: falls, {}."
+            text = tr(said, text, views.signed_mm(last.margin_mm))
+    mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
+    word = tr(views.OUTCOME_WORDS[done.outcome])
+    several = head is not None and head.trials > 1
+    title = f"{mark} {tr('Trial {} {}', done.trial, word) if several else word.capitalize()}"
+    return views.DecisionText(title, "good" if placed else "bad", margin, text, caption)
+
+
+def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> views.Score:
     """Return the score of a run. Aborted trials count as failures.
 
     Trials ended by a named device fault before the release are listed after ``last`` instead.
@@ -216,7 +243,7 @@ def run_score(trials: Sequence[TrialStory], planned: int, last: str) -> Score:
     ended = [t.finished for t in done if t.finished is not None]
     aborted = (one for one in ended if one.outcome is core.Outcome.ABORTED)
     void = tuple(tr("Trial {}: {}", one.trial, one.reason) for one in aborted)
-    return Score(outcomes, planned, interval, last, excused, void)
+    return views.Score(outcomes, planned, interval, last, excused, void)
 
 
 def face_outlines(

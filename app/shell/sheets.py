@@ -49,13 +49,15 @@ class QuestionRow(QFrame):
         self.hide()
 
     def ask(self, text: str, no: str, yes: str, act: Callable[[], None]) -> None:
-        """Ask a question; ``act`` is called for yes."""
+        """Ask a question; ``act`` is called for yes. No text withdraws the question of ``act``."""
+        if not text and act is not self._act:
+            return
         self._act = act
         self.text.setText(tr(text))
         for button, word in ((self.no, no), (self.yes, yes)):
             button.setText(tr(word))
             button.setAccessibleName(f"{tr(word)}: {tr(text)}")
-        self.show()
+        self.setVisible(bool(text))
 
     def withdraw(self) -> None:
         """Remove the question."""

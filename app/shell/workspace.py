@@ -41,7 +41,7 @@ class WorkspaceContext:
 
     ``say`` shows a sentence in the footer, ``go`` shows a workspace by name, ``keys`` shows the key
     sheet, ``remember`` writes the settings at once, so that a crash does not lose them, ``offer``
-    shows what has ended, with text and action of the next step, which moves nothing.
+    shows what has ended, with text and action of a next step, which moves nothing (no text: none).
     """
 
     theme: Theme

@@ -9,7 +9,7 @@ from touchdown.app import shell
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
 from touchdown.backend.bench import Session
-from touchdown.backend.core import Event, InputError, Outcome, RefusedError, TrialFinished
+from touchdown.backend.core import Event, InputError, RefusedError, TrialFinished
 from touchdown.backend.geometry import LEAST_WEIGHED_G
 from touchdown.backend.learning import gel_mismatches
 from touchdown.backend.runs import (
@@ -23,25 +23,20 @@ from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import RunButtons, RunForm
 from touchdown.widgets.shell import CardText, FaultCards
 from touchdown.widgets.views import (
-    ESTIMATED_MARGIN,
     OUTCOME_WORDS,
-    TRUE_MARGIN,
     BeliefScene,
     DecisionText,
     caption_of,
     decision_text,
     question_text,
-    signed_mm,
 )
 
-PRESSING = frozenset({"press", "hold"})
 # Text above the map of a trial without an estimate while its run is stopped.
 HELD_UP = {
     RunState.PAUSING: ("Pausing", "The arm lifts, then waits until you resume."),
     RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
     RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
 }
-RELEASED = frozenset({Outcome.PLACED, Outcome.FELL, Outcome.KNOCKED_OVER})
 
 
 class StackPresenter:
@@ -181,10 +176,8 @@ class StackPresenter:
             self._buttons = buttons
             self._page.run.show_buttons(buttons)
         text = tr("trial {} of {}", status.trial, status.trials) if active and status.trial else ""
-        if text and status.phase:
-            text += (
-                f", {tr('probe {}: {}', status.probe, tr(status.phase))}" if status.probe else ""
-            )
+        if text and status.phase and status.probe:
+            text += f", {tr('probe {}: {}', status.probe, tr(status.phase))}"
         self._page.run.detail.setText(text)
         # Leaves the width of the header to the progress.
         self._page.add_piece.setVisible(not active)
@@ -203,10 +196,9 @@ class StackPresenter:
         """Return True if the decision on the newest estimate has arrived; events lag the status."""
         trial = self.story.trial
         newest = trial.probes[-1] if trial is not None and trial.probes else None
-        decided = newest is not None and newest.action is not None
-        return not status.estimated or (
-            decided and newest is not None and newest.probe >= status.estimated
-        )
+        if newest is None or newest.action is None:
+            return not status.estimated
+        return newest.probe >= status.estimated
 
     def _shown_trial(self) -> shell.TrialStory | None:
         """Return the newest trial; until it has a map, the previous one stays."""
@@ -221,7 +213,7 @@ class StackPresenter:
         if trial is not None and trial.probes:
             text = self._decision(trial.probes[self._index(trial)])
         elif trial is not None and trial.finished is not None:
-            text = self._ended(trial.finished)
+            text = shell.outcome_text(trial, self.story.head)
         elif self._bench.status().asks:
             asks = f"{self._bench.status().asks.capitalize()}."
             text = DecisionText("Your turn", "", "", asks)
@@ -229,8 +221,8 @@ class StackPresenter:
             title, follows = HELD_UP[self._state]
             text = DecisionText(title, "", "", follows)
         elif trial is not None:
-            pressed = trial.phase in PRESSING
-            text = (DecisionText("Pressing", "", "", "The estimate follows the press.") if pressed
+            after = "The estimate comes after the press."
+            text = (DecisionText("Pressing", "", "", after) if trial.phase in shell.PRESSING
                     else DecisionText("Probing", "", "", "The press comes next."))  # fmt: skip
         else:
             return
@@ -239,10 +231,8 @@ class StackPresenter:
     def _draw_map(self) -> None:
         trial, belief = self._shown_trial(), self._page.belief
         if trial is None or not trial.probes:
-            scene, detail = (
-                BeliefScene() if trial is None else shell.unprobed_scene(trial),
-                ("", ""),
-            )
+            scene = BeliefScene() if trial is None else shell.unprobed_scene(trial)
+            detail = "", ""
             changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
         else:
             look = trial.probes[self._index(trial)]
@@ -280,25 +270,7 @@ class StackPresenter:
             return replace(text, text=f"{back} {tr(text.text)}")
         if trial is None or trial.finished is None:
             return text
-        return self._ended(trial.finished)
-
-    def _ended(self, done: TrialFinished) -> DecisionText:
-        placed = done.outcome is Outcome.PLACED
-        mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
-        # Without a release the margin is not part of the outcome.
-        margin = ""
-        if done.outcome in RELEASED and done.margin_mm is not None:
-            margin = signed_mm(done.margin_mm)
-        head = self.story.head
-        word = tr(OUTCOME_WORDS[done.outcome])
-        several = head is not None and head.trials > 1
-        return DecisionText(
-            f"{mark} {tr('Trial {} {}', done.trial, word) if several else word.capitalize()}",
-            "good" if placed else "bad",
-            margin,
-            done.reason,
-            TRUE_MARGIN if self._bench.simulated else ESTIMATED_MARGIN,
-        )
+        return shell.outcome_text(trial, self.story.head)
 
     def _scene(self, index: int) -> BeliefScene:
         trial = self._shown_trial()
@@ -307,24 +279,16 @@ class StackPresenter:
         look = trial.probes[index]
         kept = self._scenes.get(key)
         if kept is None or kept[0] is not look:
-            kept = (
-                look,
-                shell.belief_scene(
-                    trial, index, *shell.face_outlines(self._bench.catalogue, self.story.head)
-                ),
-            )
-            self._scenes[key] = kept
+            faces = shell.face_outlines(self._bench.catalogue, self.story.head)
+            kept = self._scenes[key] = look, shell.belief_scene(trial, index, *faces)
         return kept[1]
 
     def _draw_score(self) -> None:
         head, last = self.story.head, ""
-        for trial in reversed(self.story.trials):
-            if trial.finished is not None:
-                done = trial.finished
-                probes = count_noun(done.probes, "probe")
-                word = tr(OUTCOME_WORDS[done.outcome])
-                last = tr("Seed {}: {} after {}.", done.seed, word, probes)
-                break
+        done = next((t.finished for t in reversed(self.story.trials) if t.finished), None)
+        if done is not None:
+            word, probes = tr(OUTCOME_WORDS[done.outcome]), count_noun(done.probes, "probe")
+            last = tr("Seed {}: {} after {}.", done.seed, word, probes)
         planned, ended = head.trials if head is not None else 0, len(self.story.outcomes)
         if planned > ended and self.story.ended is not None:
             then = "The run ended after {} of {} trials. Start begins a new run."

@@ -40,7 +40,6 @@ class TrainPage(WorkspacePage):
         self.differences = FigureTable(theme, "What differs", ("setting", "A"))
         self.figures = FigureTable(theme, "Figures per bottom", (FIGURES, "A"))
         self.split.empty = "No episode that counts yet"
-        self.runs.empty = "No training on these data yet. Fill in the form, then Start training."
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use = base.label("", "", wrap=True)
@@ -49,7 +48,6 @@ class TrainPage(WorkspacePage):
         for button in (self.promote, self.roll_back):
             # Disabled until the model in use is known.
             button.setEnabled(False)
-        self.promote.setToolTip(base.tr("Put the chosen model in use for its piece (Ctrl+P)"))
         self.roll_back.setToolTip(base.tr("Use the previous model again (Ctrl+Shift+P)"))
         yield
         self._arrange()

@@ -161,7 +161,11 @@ class TrainPresenter:
         page.form.show_pieces([(name, name) for name in overview.pieces], overview.piece)
         page.split.show_rows(words.split_rows(overview))
         page.split_panel.detail.setText(overview.piece)
-        page.leaks.setText(words.split_text(overview, looked.trouble))
+        why = looked.trouble or overview.error
+        page.runs.empty = why or "No training on these data yet: fill in the form, then start."
+        # Without a training the list gives the reason.
+        split = words.split_text(overview, looked.trouble)
+        page.leaks.setText("" if why and not self.runs else split)
         self.choose()
         if not page.runs.chosen() and self.runs:
             page.runs.choose([next(iter(self.runs))])
@@ -228,9 +232,8 @@ class TrainPresenter:
         if self.in_use is not None and self.in_use.before is not None:
             piece = self.in_use.piece
             log.info("model before put in use again for %s", piece)
-            self._worker.submit(
-                lambda: self._reading.roll_back(piece), self._take_use, self._failed
-            )
+            back = partial(self._reading.roll_back, piece)
+            self._worker.submit(back, self._take_use, self._failed)
 
     def close(self) -> None:
         """End a training and wait for its process."""
@@ -263,9 +266,8 @@ class TrainPresenter:
         if isinstance(report, TrainingEpoch):
             self._epochs_s.append(now_s - self._stamp_s)
             if not self._cancelling:
-                self._show_progress(
-                    words.remaining_time_text(report.epoch, report.epochs, self._epochs_s)
-                )
+                left = words.remaining_time_text(report.epoch, report.epochs, self._epochs_s)
+                self._show_progress(left)
         elif not isinstance(report, TrainingFinished) and not self._cancelling:
             self._show_progress("first epoch \N{HORIZONTAL ELLIPSIS}")
         self._stamp_s = now_s
@@ -331,8 +333,10 @@ class TrainPresenter:
         use, card = self.in_use, None if run is None else run.card
         used = card is not None and use is not None and words.is_in_use(card, use)
         page.promote.setEnabled(card is not None and not used)
+        one = tr("Choose one training to promote it.") if run is None and self.runs else ""
+        page.promote.setToolTip(one or tr("Put the chosen model in use for its piece (Ctrl+P)"))
         page.roll_back.setEnabled(use is not None and use.before is not None)
-        page.in_use.setText(words.model_in_use_text(use))
+        page.in_use.setText(f"{words.model_in_use_text(use)} {one}".strip())
 
     def _can_start(self) -> bool:
         looked = self.looked

@@ -47,12 +47,10 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     """Return a training run as a table row; ``marks`` are the letters of the chosen ones."""
     used = run.card is not None and in_use is not None and is_in_use(run.card, in_use)
     began = datetime.fromtimestamp(run.about.started_ns / 1e9)
-    when = (
-        f"{began:%H:%M:%S}" if began.date() == datetime.now().date() else f"{began:%d %b %H:%M:%S}"
-    )
+    day = "" if began.date() == datetime.now().date() else f"{began:%d %b} "
     mark = f"{marks[run.uuid]} " if run.uuid in marks else ""
     cells = (
-        f"{mark}{when} {run.piece or '?'}",
+        f"{mark}{day}{began:%H:%M:%S} {run.piece or '?'}",
         tr("in use" if used else run.state),
         str(run.about.params.get("modality", "?")),
         _per_cent(run.value("iou", run.best_epoch)),
@@ -70,13 +68,12 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
     if in_use is None:
         return ""
     alone = autonomy_text(in_use.probes)
-    if in_use.before is None:
-        return f"{tr('In use for {}: the shipped model.', in_use.piece)} {alone}".strip()
-    since = f"{datetime.fromtimestamp(in_use.since_ns / 1e9):%d %b %H:%M}"
-    models = _model(in_use.weights_sha256), since, _model(in_use.before)
-    return (
-        f"{tr('In use for {}: {} since {}; before it {}.', in_use.piece, *models)} {alone}".strip()
-    )
+    said = tr("In use for {}: the shipped model.", in_use.piece)
+    if in_use.before is not None:
+        since = f"{datetime.fromtimestamp(in_use.since_ns / 1e9):%d %b %H:%M}"
+        models = _model(in_use.weights_sha256), since, _model(in_use.before)
+        said = tr("In use for {}: {} since {}; before it {}.", in_use.piece, *models)
+    return f"{said} {alone}".strip()
 
 
 def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
@@ -117,10 +114,8 @@ def autonomy_text(probes: int | None) -> str:
         return ""
     if probes >= HARDWARE_PROBES:
         return tr("Auto on hardware: evaluated on {} hardware probes.", probes)
-    return tr(
-        "From simulations alone: on hardware approve or step mode only "
-        "({} of {} hardware probes evaluated).", probes, HARDWARE_PROBES,
-    )  # fmt: skip
+    asks = "On hardware use approve or step mode only: evaluated on {} of {} hardware probes."
+    return tr(asks, probes, HARDWARE_PROBES)
 
 
 def split_text(overview: TrainingSetOverview, trouble: str) -> str:

@@ -19,7 +19,7 @@ def decision_message(
     if stability.support is core.SupportKind.AREA:
         digits = 1 if abs(stability.margin_mm) >= 0.1 else 2
         margin = f"{stability.margin_mm:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
-        support = f"{'stable' if stability.stable else 'not stable'}, margin {margin} mm"
+        support = f"{'stable' if stability.stable else 'not stable'}, estimated margin {margin} mm"
     contact = f"contact on {share:.0f} % of the face ({points} points)"
     return f"Probe {probe}: {contact}. Estimate: {support}. {action.reason}"
 

@@ -524,6 +524,10 @@ class ScrollingNote(QScrollArea):
         super().resizeEvent(event)
         if event.size().width() != event.oldSize().width():
             self._fit()
+        cut = self.height() % self._label.fontMetrics().lineSpacing()
+        below = cut if self.height() < self._needed() else 0  # whole lines
+        if below != self.viewportMargins().bottom():
+            self.setViewportMargins(0, 0, 0, below)
 
     def _needed(self) -> int:
         if not self.text():

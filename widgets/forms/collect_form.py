@@ -89,7 +89,7 @@ class TargetPanel(Panel):
         self.ask = QCheckBox(tr("Wait for an answer after each probe"))
         self.hand_over = QCheckBox(tr("Hand the piece over (no jig)"))
         self.residual = label("", "small", wrap=True)
-        self.here, self.take = QPushButton(tr("Set here")), QPushButton(tr("Add residual"))
+        self.here, self.take = QPushButton(tr("Set here")), QPushButton(tr("Correct origin"))
         self.why_not, self.lift = label("", "small", wrap=True), QPushButton(tr("Lift 5 mm"))
         self.start, self.go_on = QPushButton(tr("Start collecting")), QPushButton(tr("Continue"))
         self.pause, self.end = QPushButton(tr("Pause")), QPushButton(tr("End"))
@@ -102,7 +102,7 @@ class TargetPanel(Panel):
         )  # fmt: skip
         set_entries(self.pattern, PATTERNS)
         self.bar.setTextVisible(True)
-        self.bar.setFormat(tr("%v of %m"))
+        self.bar.setFormat(tr("This series: %v of %m"))
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
         describe(
@@ -114,7 +114,7 @@ class TargetPanel(Panel):
                 "Set the origin where the arm is",
                 "Jog the arm over the centre of the bottom first",
             ),
-            (self.take, "Add the residual to the origin", "Correct the origin for new probes"),
+            (self.take, "Correct the origin", "Add the residual of the last check to the origin"),
             (self.lift, "Lift", "Lift by 5 mm; no campaign can start in contact"),
             (self.end, "End the campaign for now", "Lift, store the finished probes, end"),
             (self.bar, "Progress", "Accepted probes of the campaign"),
@@ -123,7 +123,7 @@ class TargetPanel(Panel):
         for combo in (self.piece, self.bottom):
             combo.currentIndexChanged.connect(self.pair_chosen)
         self.show_form(TargetForm())
-        self.show_residual("Origin not checked yet.", usable=False)
+        self.show_residual("Origin as entered; checking it is optional.", usable=False)
         self.show_buttons(TargetButtons(start=False, pause=False, end=False, paused=False))
         self.show_progress(0, 0, "")
 
@@ -140,14 +140,14 @@ class TargetPanel(Panel):
             ("Person", self.person, "Your name; stored with every episode"),
         )
         x, y = self.origin
-        per_grip = "Largest number per grip; auto: at least three grips"
+        per_grip = "The piece is gripped anew after so many probes; auto: at least three grips"
         seed = "new: another plan each time; the same seed gives the same plan"
         within, within_tip = "Range \N{PLUS-MINUS SIGN}", "Largest displacement along x and along y"
         fields.add_halves(
             4,
             (within, self.within, within_tip, "Range"),
             ("Probes", self.count, "Number of probes to plan"),
-            ("Per grip", self.per_grip, per_grip, "Probes per grip"),
+            ("Regrip", self.per_grip, per_grip, "Probes per grip"),
             ("Seed", self.seed, seed),
             ("Origin x", x, "Centre of the bottom in arm coordinates, x (mm)"),
             ("y", y, "Centre of the bottom in arm coordinates, y (mm)", "Origin y"),

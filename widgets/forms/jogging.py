@@ -164,11 +164,11 @@ class JogPad(base.Panel):
         self.turn.setAccessibleName(base.tr("Turn the hand instead of moving it"))
         self.level = QPushButton(base.tr("Level"))
         self.level.setAccessibleName(base.tr("Level the hand"))
-        self.keys = QPushButton(base.tr("Arm keys"))
+        self.keys = QPushButton(base.tr("Keyboard jog"))
         self.keys.setCheckable(True)
         for button in (self.level, self.keys):
             button.setProperty("role", "header")
-        self.keys.setAccessibleName(base.tr("Arm the jog keys"))
+        self.keys.setAccessibleName(base.tr("Jog with the keyboard"))
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
         self.lift = QPushButton()  # offered in contact
@@ -218,7 +218,7 @@ class JogPad(base.Panel):
         """Highlight the panel while keys move the arm."""
         base.set_property(self, "armed", "yes" if armed else "no")
         self.keys.setChecked(armed)
-        self.keys.setText(base.tr("Keys armed" if armed else "Arm keys"))
+        self.keys.setText(base.tr("Keyboard jog on" if armed else "Keyboard jog"))
         self._mark_joint()
 
     def show_ready(self, ready: bool, why: str) -> None:

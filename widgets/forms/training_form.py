@@ -153,6 +153,7 @@ class TrainingFormPanel(Panel):
         """Set the (name, title) entries and select one, without emitting ``changed``."""
         with QSignalBlocker(self.piece):
             set_entries(self.piece, entries, chosen)
+            self.piece.setPlaceholderText(tr("none with labels yet"))
 
     def show_form(self, form: TrainingForm) -> None:
         """Fill in the form without emitting ``changed``; unknown entries change nothing."""

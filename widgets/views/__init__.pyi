@@ -1,3 +1,4 @@
+from .belief import NO_PROBE as NO_PROBE
 from .belief import BeliefLegend as BeliefLegend
 from .belief import BeliefScene as BeliefScene
 from .belief import BeliefView as BeliefView

@@ -25,12 +25,13 @@ from touchdown.widgets.plots import (
 
 ENTRIES = (
     ("plus", "centre of mass"),
-    ("line", "hull p > 0.9"),
+    ("line", "hull of the contact, p > 0.9"),
     ("dots", "face"),
     ("arrow", "step"),
     ("ring", "target"),
 )
 TRUTH = ("dashes", "true overlap")
+HULL = "Hull: convex outline of sure contact. With its centre of mass inside, the piece stands."
 WEIGHED = ("halo", "2 \N{GREEK SMALL LETTER SIGMA} of the weighing")
 
 
@@ -43,6 +44,7 @@ class BeliefLegend(QWidget):
         self._more: tuple[tuple[str, str], ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(tr("Legend of the belief map"))
+        self.setToolTip(tr(HULL))
 
     def show_truth(self, shown: bool, *, weighed: bool = False) -> None:
         """Show or hide the entries of the true overlap and of a weighed centre of mass."""

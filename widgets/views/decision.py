@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QWidget
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
 from touchdown.widgets import base
 from touchdown.widgets.forms import NameField
+from touchdown.widgets.views.belief import HULL
 from touchdown.widgets.views.offset import OffsetScene, OffsetView
 
 OUTCOMES: tuple[tuple[Outcome, str, str], ...] = (
@@ -161,9 +162,7 @@ def question_text(action: PlaceAction) -> tuple[str, str]:
         return "Press once more and release here?", "Release"
     if action.kind != "shift":
         return "Go on probing?", "Go on"
-    x, y = (base.signed(mm, 1) for mm in action.step_mm)
-    asks = "Move {:.1f} mm (x {}, y {}) and probe again?"
-    return base.tr(asks, math.hypot(*action.step_mm), x, y), "Move and probe"
+    return "Take this step and probe again?", "Move and probe"
 
 
 class DecisionPanel(QFrame):
@@ -206,7 +205,7 @@ class DecisionPanel(QFrame):
         self._caption.setText(base.tr(text.caption))
         self._caption.setVisible(bool(text.margin))
         self._text.setText(base.tr(text.text))
-        self._text.setToolTip(base.tr(text.text))
+        self._text.setToolTip(base.tr(HULL if "hull" in text.text else text.text))
         for part in (self._result, self._margin):
             base.set_property(part, "tone", text.tone)
         margin = f"{base.tr(text.caption)} {text.margin}. " if text.margin else ""

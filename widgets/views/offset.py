@@ -109,7 +109,7 @@ GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str, float]] = {
     "model": (Qt.PenStyle.DashDotLine, "axis_z", -0.6),
 }
 SCALE_BARS = 7  # of them fill the width
-SAMPLE_PX = 30  # line of a source in the legend
+SAMPLE_PX = 20  # line of a source in the legend
 ROOMY_PX = 400  # in narrower pictures, the legend alone names the sources
 THICKEN_PX = 0.3
 
@@ -301,16 +301,17 @@ class OffsetView(plots.PictureView):
         self._place_legend()
 
     def _place_legend(self) -> None:
-        """List the sources in the corner away from the face, clear of axis names and scale bar."""
+        """List the sources in a corner away from the face, clear of axis names and scale bar."""
         kinds = {ghost.kind for ghost in self.scene.ghosts} if self.scene else set()
         x_mm, y_mm = (self.scene.offset_mm if self.scene else None) or (0.0, 0.0)
-        left, rect, em = x_mm > 0, self.area().rect, self.fontMetrics().height()
+        # Without the scale bar, at the lower right, the list stands lower, left of the axis name.
+        left, rect, em = x_mm > max(2 * y_mm, 0), self.area().rect, self.fontMetrics().height()
         y = rect.top() + (1.3 * em if left else 4)
         if y_mm > 0:
             rows = sum(self.legend[kind].sizeHint().height() for kind in kinds)
-            y = max(y, rect.bottom() - rows - 3.6 * em)
+            y = max(y, rect.bottom() - rows - (3.6 if left else 1.4) * em)
         width = max(box.sizeHint().width() for box in self.legend.values())
-        x = rect.left() + 6 if left else rect.right() - 6 - width
+        x = rect.left() + 6 if left else rect.right() - width - (3.4 * em if y_mm > 0 else 6)
         for kind, box in self.legend.items():
             box.setVisible(kind in kinds)
             box.setGeometry(round(x), round(y), width, box.sizeHint().height())

@@ -16,7 +16,7 @@ from touchdown.widgets.views.belief import BeliefLegend, BeliefScene, BeliefView
 from touchdown.widgets.views.decision import signed_mm
 
 SIDE_PX = 62
-NO_PROBES = ("No probes yet", "Each press adds a map; click one to view it again.")
+NO_PROBES = ("No finished probe yet", "Each probe adds a map; click one to view it again.")
 
 
 class Thumbnail(QWidget):
@@ -31,7 +31,7 @@ class Thumbnail(QWidget):
         self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.caption = base.label("", "small")
         self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        column = base.vbox(parent=self, margins=(4, 4, 4, 2), spacing=1)
+        column = base.vbox(parent=self, margins=(1, 4, 1, 2), spacing=1)
         column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -75,7 +75,7 @@ class ProbeStrip(QWidget):
         self._inner = QWidget()
         self._row = QBoxLayout(QBoxLayout.Direction.LeftToRight, self._inner)
         self._row.setContentsMargins(0, 0, 0, 0)
-        self._row.setSpacing(4)
+        self._row.setSpacing(2)
         self._row.addStretch(1)
         self._scroll = QScrollArea()
         self._scroll.setWidget(self._inner)
@@ -83,6 +83,8 @@ class ProbeStrip(QWidget):
         self._scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._scroll.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         base.vbox(self._scroll, parent=self, margins=(0, 0, 0, 0))
+        for bar in (self._scroll.verticalScrollBar(), self._scroll.horizontalScrollBar()):
+            bar.rangeChanged.connect(lambda _low, high, bar=bar: bar.setValue(high))
         self._scroll.hide()
         self.setAccessibleName(base.tr("Probes of this trial"))
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -153,10 +155,6 @@ class ProbeStrip(QWidget):
             self._lines = lines
             self.updateGeometry()
         self._scroll.setVisible(bool(probes))
-        scroll = self._scroll
-        bar = scroll.verticalScrollBar() if self.upright else scroll.horizontalScrollBar()
-        if chosen == len(probes) - 1:
-            bar.setValue(bar.maximum())
 
     def mark(self, chosen: int) -> None:
         """Select another probe."""
@@ -175,7 +173,7 @@ def caption_of(probe: int, stability: Stability | None) -> str:
         return f"{probe}"
     margin = signed_mm(stability.margin_mm)
     margin = base.tr("est. {}", margin) if math.isfinite(stability.margin_mm) else margin
-    return f"{probe}: {margin}"
+    return f"{probe} {margin}"
 
 
 GAIN = 1.15  # growth of the map by which a column of thumbnails is preferred to a row

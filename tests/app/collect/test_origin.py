@@ -173,19 +173,29 @@ def test_a_discarded_probe_can_be_collected_again_without_a_restart(page):
 def test_the_end_of_a_campaign_offers_to_label_it_or_to_continue(page):
     dataset, step = page.presenter.dataset, page.main.window.next_step
     plan = replace(new_campaign("pot", "circle15", "random", 0, PROBES, None), uuid=CAMPAIGN)
-    for more, offered in ((1, "Continue: 1 left"), (0, "Label them")):
+    for more, offered in ((1, "Continue: 1 left"), (0, "Label the episodes")):
         replace(plan, count=PROBES + more).save(dataset.folder)
         page.begin()
         assert step.isHidden(), "a run that starts takes the offer of the former one away"
         page.bench.set_state(RunState.IDLE)
         page.tell(RunFinished(2.0, "run", "finished", f"{PROBES} probes are collected."))
         page.settle()
-        assert step.text.text() == f"pot on circle15: {PROBES} probes are collected."
+        assert step.text.text() == f"Collection of pot on circle15: {PROBES} probes are collected."
         assert step.yes.text() == offered
     started = len(page.bench.started)
     step.yes.click()
     assert page.workspace.page.front == "label"
     assert len(page.bench.started) == started, "an offer moves nothing"
+    for half, hidden in (("label", True), ("collect", False)):
+        page.workspace.page.show_half(half)
+        page.workspace._offer_next("Collection ended.", 0)
+        assert step.isHidden() is hidden, "no offer to label where one labels"
+    page.workspace.page.show_half("label")
+    assert step.isHidden(), "the offer has been followed"
+    page.workspace._context.offer("A training ended.", "Put it in use", page.view.setFocus)
+    page.workspace.page.show_half("collect")
+    page.workspace.page.show_half("label")
+    assert not step.isHidden(), "another offer stays"
 
 
 def test_the_check_of_the_origin_is_used_once_and_remembered_and_gone_with_the_origin(page):

@@ -233,7 +233,7 @@ def test_taking_the_model_keeps_its_name_until_a_person_moves_it(desk):
 
 
 def test_the_page_says_what_a_label_rests_on(desk):
-    takes = r"Accept takes the label, x \S+, y \S+ mm: "
+    takes = r"Accept takes this position, x \S+, y \S+ mm: "
     assert re.fullmatch(f"{takes}commanded, sigma\xa00.30\xa0mm", desk.page.basis.text())
     desk.do(KEY.Key_Right)
     assert re.fullmatch(f"{takes}set by Ann, sigma\xa00.20\xa0mm", desk.page.basis.text())
@@ -242,7 +242,7 @@ def test_the_page_says_what_a_label_rests_on(desk):
     head = desk.book.head(uuid)
     edit, blank = LabelDraft.of(head), LabelDraft.blank(head)
     assert basis_text(edit, None, "").startswith("x ")
-    assert basis_text(edit, None, "approve").startswith("Approve takes the label, x ")
+    assert basis_text(edit, None, "approve").startswith("Approve takes this position, x ")
     model = OffsetFit((1.0, 2.0), 0.5)
     assert "takes the displacement of the model, x +1.00" in basis_text(blank, model, "accept")
     assert basis_text(blank, model, "") == basis_text(blank, None, "accept")

@@ -338,7 +338,9 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     assert {"decided (s)", "margin (mm)", "iou"} <= set(rows[0])
     # The shown margin and agreement are those of the row.
     last = dict(zip(names, rows[-1], strict=True))
-    assert f"{float(last['margin_mm']):+.1f} mm" == review.page.decision._margin.text()
+    estimate = f"Estimate: stands, {float(last['margin_mm']):+.1f} mm."
+    assert review.page.decision._text.text().endswith(estimate)
+    assert review.page.decision._result.text() == "\N{CHECK MARK} Placed", "not the estimate"
     assert f"IoU {float(last['iou']):.2f}" in review.page.estimate.text()
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
     shown = QImage.fromData(picture)

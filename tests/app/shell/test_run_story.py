@@ -140,7 +140,7 @@ def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, out
     released = outcome not in (Outcome.GAVE_UP, Outcome.ASKED, Outcome.ABORTED)
     assert page.decision._margin.text() == ("+1.6 mm" if released else "")
     assert page.decision._caption.isVisible() == released
-    assert page.strip.thumbnails[1].caption.text() == "2: est. \N{MINUS SIGN}1.1 mm"
+    assert page.strip.thumbnails[1].caption.text() == "2 est. \N{MINUS SIGN}1.1 mm"
 
 
 def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
@@ -151,8 +151,8 @@ def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):
     bench.events.publish(PhaseEntered(bench.clock_s(), "press", 1))
     settle(live)
     assert page.decision._result.text() == "Pressing"
-    assert page.decision._text.text() == "The estimate follows the press."
-    assert page.belief.scene.empty == NO_PROBE
+    assert page.decision._text.text() == "The estimate comes after the press."
+    assert page.belief.scene.empty[0] == "The first probe is running"
     done = TrialFinished(
         bench.clock_s(), 1, 7, Outcome.ABORTED, "stopped by operator", 0, None, None
     )
@@ -219,10 +219,7 @@ def test_approval_is_asked_and_given_by_key(live, bench, key, mode, page):
     bench.set_state(RunState.RUNNING, awaiting=action((4.4, 1.9), -1.1))
     settle(live)
     assert page.decision.approve.text() == f"Move and probe  {'A' if mode == 'approve' else 'N'}"
-    assert (
-        page.decision._ask_text.text()
-        == "Move 3.0 mm (x \N{MINUS SIGN}2.8, y \N{MINUS SIGN}1.2) and probe again?"
-    )
+    assert page.decision._ask_text.text() == "Take this step and probe again?"
     assert page.belief_panel.geometry() == stood
     assert live.bar.pill.state.word == "YOUR TURN"
     QTest.keyClick(live.window, key)

@@ -79,7 +79,7 @@ from touchdown.backend.geometry.regions import ell
 from touchdown.backend.geometry.surfaces import Surface
 from touchdown.backend.geometry.tower import Body, Tower
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
-from touchdown.backend.jobs.job import SPEC_FILE, JobStore, run_job
+from touchdown.backend.jobs.job import JobStore, run_job
 from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
 from touchdown.backend.learning.fused.checkpoint import load_fused, shipped_path
 from touchdown.backend.learning.fused.features import TICKS, field_components
@@ -444,10 +444,6 @@ def test_finished_data_of_any_version_train_an_ensemble(
     assert [job.params["free"] for job in jobs] == [False, True, False, True]
     for job in jobs:
         assert run_job(job, FUSED_KINDS, store).state == "done"
-    killed = store.root / f".{'0' * 32}.1.part"  # left behind by a process
-    killed.mkdir()
-    left = replace(jobs[0], seed=jobs[0].seed + 2000)
-    (killed / SPEC_FILE).write_text(left.canonical())
     ready = ready_sequences(store, bench_v1, "convex")
     assert ready == {"short": jobs[::2], "free": jobs[1::2], "surface": []}
     assert not any(ready_sequences(store, bench_v1, "any").values())

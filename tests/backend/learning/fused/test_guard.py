@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import gammainc, gammaln
 
+from touchdown.backend.config import bench_sha256, load_simulation
 from touchdown.backend.core import InputError
 from touchdown.backend.learning.fused import (
     ALARM,
@@ -15,6 +16,8 @@ from touchdown.backend.learning.fused import (
     PowerMartingale,
     ScoreRanks,
     guard_path,
+    load_fused,
+    network_path,
     open_guard,
     signal_score,
 )
@@ -177,3 +180,13 @@ def test_a_guard_is_that_of_its_network_and_bench(tmp_path):
     assert not open_guard(weights, "w", first.bench_sha256, states).state.observed
     with pytest.raises(InputError, match="another network"):
         open_guard(weights, "x", first.bench_sha256, states)
+
+
+@pytest.mark.parametrize(("weights", "preset"), [("", "bench-v1"), ("any", "bench-v2")])
+def test_the_shipped_networks_have_a_guard_on_their_bench(weights, preset, tmp_path):
+    path, bench = network_path(weights), bench_sha256(load_simulation(None, preset))
+    guard = open_guard(path, load_fused(path).card.weights_sha256, bench, tmp_path)
+    for piece in ("pot", "barrel", "mushroom"):
+        for _ in range(10):
+            guard.observe(piece, 20.0)
+    assert guard.withdrawn, "a field of which a fifth is of no typical form"

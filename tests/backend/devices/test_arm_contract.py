@@ -290,7 +290,8 @@ def test_a_turning_jog_keeps_its_pivot_and_ends_by_itself(bench: DevicesUnderTes
     first.result()
     pose = bench.arm.pose(0.1)
     # 2 rad/s^2 up to 0.1 rad/s, 0.24 s of it, and as much way down as was missed going up.
-    assert vector(pose) == pytest.approx((0.0, 0.024, 0.0), abs=0.002)
+    # A cycle more or less of at most 20 ms changes it by 0.002.
+    assert vector(pose) == pytest.approx((0.0, 0.024, 0.0), abs=0.0025)
     assert place(pose) == pytest.approx(place(up), abs=0.02)
 
 

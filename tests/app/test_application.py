@@ -316,9 +316,7 @@ def desk(qapp, qtbot, tmp_path, packs) -> Iterator[Desk]:
 def test_without_data_the_page_says_how_to_get_some(main, qtbot):
     main.go("train")
     page = main.workspaces["train"].page
-    qtbot.waitUntil(
-        lambda: page.form.isVisible() and not page.form.start.isEnabled(), timeout=60_000
-    )
+    qtbot.waitUntil(lambda: "Collect probes (Ctrl+2)" in page.runs.empty, timeout=60_000)
     assert not page.form.start.isEnabled()
     assert main.cards.codes == ()
 

@@ -569,7 +569,7 @@ def nominal_start(nominal: Path) -> tuple[TrainingRows, Any]:
 
 
 def queue_order(rows: TrainingRows) -> NDArray[np.intp]:
-    """Return the probes in the order in which the queue *Best for training* shows them."""
+    """Return the probes in the order in which the queue *Typical signals* shows them."""
     signals = rows.observation[:, label_review.COMPARED_TICKS]
     return np.array(label_review.training_order(signals, np.zeros(len(rows), bool)))
 

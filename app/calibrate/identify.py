@@ -45,8 +45,6 @@ class IdentifySheet(BenchSheet):
         self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.table = FigureTable(theme, "Parameters", COLUMNS)
         self.table.empty = "No result yet"
-        ignored = self.table.sizePolicy().Policy.Ignored
-        self.table.setSizePolicy(ignored, ignored)  # it scrolls, not the sheet
         self._child, self._error, self._draft, self._page = QProcess(self), "", Path(), ""
         self._child.readyReadStandardError.connect(self._read)
         self._child.finished.connect(self._finished)

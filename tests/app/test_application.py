@@ -383,6 +383,7 @@ def test_train_compare_promote_and_roll_back(desk):
     ]
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
+    assert "Choose one training to promote it." in page.in_use.text()
 
     registry = ModelRegistry(models_folder())
     for run in (both, wrench):

@@ -95,7 +95,7 @@ class ProbeStrip(QWidget):
 
     def column_px(self) -> int:
         """Return the width of a column with its scroll bar."""
-        return self.fontMetrics().horizontalAdvance("10: \N{ALMOST EQUAL TO} +10.0 mm") + 16
+        return self.fontMetrics().horizontalAdvance("10: \N{ALMOST EQUAL TO}+10.0 mm") + 16
 
     def sizeHint(self) -> QSize:
         """Return the size of one row or column."""
@@ -172,7 +172,7 @@ def caption_of(probe: int, stability: Stability | None) -> str:
     if stability is None:
         return f"{probe}"
     margin = signed_mm(stability.margin_mm)
-    about = "\N{ALMOST EQUAL TO} " if math.isfinite(stability.margin_mm) else ""
+    about = "\N{ALMOST EQUAL TO}" if math.isfinite(stability.margin_mm) else ""
     return f"{probe}: {about}{margin}"
 
 

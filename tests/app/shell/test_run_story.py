@@ -140,7 +140,7 @@ def test_a_margin_stands_beside_an_outcome_only_after_a_release(live, bench, out
     released = outcome not in (Outcome.GAVE_UP, Outcome.ASKED, Outcome.ABORTED)
     assert page.decision._margin.text() == ("+1.6 mm" if released else "")
     assert page.decision._caption.isVisible() == released
-    assert page.strip.thumbnails[1].caption.text() == "2: \N{ALMOST EQUAL TO} \N{MINUS SIGN}1.1 mm"
+    assert page.strip.thumbnails[1].caption.text() == "2: \N{ALMOST EQUAL TO}\N{MINUS SIGN}1.1 mm"
 
 
 def test_a_trial_stopped_in_its_first_press_tells_one_story(live, bench, page):

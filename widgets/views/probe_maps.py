@@ -200,7 +200,7 @@ class MapAndStrip(QWidget):
         """Return the minimum of the arrangement with the strip below."""
         legend = self._legend.minimumSizeHint().height()
         high = self._view.minimumHeight() + legend + self._strip.row_px() + 20
-        return QSize(self._strip.column_px() + 120, high)
+        return QSize(max(self._strip.column_px() + 120, self._view.minimumWidth()), high)
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
         """Move the strip to the side that leaves the larger map."""

@@ -74,15 +74,14 @@ def write_run_info(folder: Path, about: RunInfo) -> None:
 def read_run_info(folder: Path) -> RunInfo:
     """Read ``run.json``; raises ``InputError`` with its path."""
     path = folder / ABOUT
-    try:
+    fix = "Move the folder of this run out of the dataset."
+    kinds = (OSError, ValueError, KeyError, TypeError)
+    with core.errors_as_input("The run cannot be read", path, fix, *kinds):
         content = core.parse_json(path.read_bytes())
         if content.pop("format") != FORMAT or content["state"] not in get_args(RunState):
             raise ValueError("it is of another version")
         content["artifacts"] = tuple(Artifact(**made) for made in content["artifacts"])
         about = RunInfo(**content)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        fix = "Move the folder of this run out of the dataset."
-        raise core.InputError(f"The run cannot be read: {error}.", str(path), fix) from error
     if about.uuid != folder.name:
         raise core.InputError("This run belongs to another folder.", str(path), "Move it back.")
     return about

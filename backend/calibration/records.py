@@ -32,6 +32,7 @@ from touchdown.backend.core import (
     CalibrationMeasured,
     InputError,
     RefusedError,
+    disk_errors,
     parse_json,
     write_atomically,
 )
@@ -296,14 +297,9 @@ class CalibrationStore:
         )
         record = CalibrationRecord.of(file)
         path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
-        try:
+        fix = "Make room, or name a folder that can be written."
+        with disk_errors("The calibration cannot be written", path, fix):
             write_atomically(path, record.text().encode())
-        except OSError as error:
-            raise InputError(
-                f"The calibration cannot be written: {error.strerror or error}.",
-                str(path),
-                "Make room, or name a folder that can be written.",
-            ) from error
         return path
 
     def status(

@@ -10,7 +10,7 @@ from pathlib import Path
 from touchdown.backend.cli.experiment import add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
 from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError, disk_errors
+from touchdown.backend.core import InputError, disk_errors, errors_as_input
 from touchdown.backend.experiments import (
     Redraws,
     batch_plan,
@@ -100,15 +100,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 def _start(text: str | None) -> datetime:
     """Return the start in UTC; a text without an offset is in UTC."""
-    try:
+    said, fix = "This is no start time", "Give one such as 2026-01-31T12:00:00Z."
+    with errors_as_input(said, "--start", fix, ValueError, OverflowError):
         start = datetime.now(UTC) if text is None else datetime.fromisoformat(text)
         start = (start if start.tzinfo else start.replace(tzinfo=UTC)).astimezone(UTC)
         if not 1970 <= start.year < 2200:
             raise ValueError(f"the year {start.year} is outside 1970 to 2199")
-    except (ValueError, OverflowError) as error:
-        raise InputError(
-            f"This is no start time: {error}.", "--start", "Give one such as 2026-01-31T12:00:00Z."
-        ) from error
     return start
 
 

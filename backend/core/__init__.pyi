@@ -54,6 +54,7 @@ from .files import append_line as append_line
 from .files import config_folder as config_folder
 from .files import data_folder as data_folder
 from .files import disk_errors as disk_errors
+from .files import errors_as_input as errors_as_input
 from .files import hash_files as hash_files
 from .files import lock_file as lock_file
 from .files import make_folder as make_folder

@@ -139,6 +139,17 @@ def disk_errors(what: str, where: Path, fix: str) -> Iterator[None]:
         raise InputError(f"{what}: {error.strerror or error}.", place, fix) from error
 
 
+@contextmanager
+def errors_as_input(
+    what: str, where: Path | str, fix: str, *kinds: type[Exception]
+) -> Iterator[None]:
+    """Raise ``InputError`` for an error of ``kinds``; ``what`` ends without its full stop."""
+    try:
+        yield
+    except kinds as error:
+        raise InputError(f"{what}: {error}.", str(where), fix) from error
+
+
 def read_limited(path: Path, limit: int, fix: str) -> bytes:
     """Return a file of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
     with disk_errors("Cannot read the file", path, fix):
@@ -236,13 +247,13 @@ def package_version(package: str) -> str:
         return ""
 
 
-def require_package(module: str, extra: str = "exchange") -> ModuleType:
+def require_package(module: str, extra: str = "exchange", package: str = "") -> ModuleType:
     """Import an optional package; raises ``InputError`` with its extra if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
         raise InputError(
-            f"The package '{module.partition('.')[0]}' is not installed.",
+            f"The package '{package or module.partition('.')[0]}' is not installed.",
             f"extra '{extra}'",
             f"Install it: pip install 'touchdown[{extra}]'.",
         ) from error

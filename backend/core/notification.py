@@ -15,6 +15,7 @@ from typing import Literal
 
 from touchdown.backend.core import events
 from touchdown.backend.core.faults import InputError
+from touchdown.backend.core.files import errors_as_input
 
 TITLE = "Touchdown"
 # What a run waits for, by event; also shown as its state
@@ -105,12 +106,9 @@ class CommandNotifier:
     """
 
     def __init__(self, command: str, failed: Callable[[str], None] = lambda text: None) -> None:
-        try:
+        said, fix = "The command cannot be read", "Quote it as in a shell."
+        with errors_as_input(said, "--notify", fix, ValueError):
             self._words = shlex.split(command)
-        except ValueError as error:
-            raise InputError(
-                f"The command cannot be read: {error}.", "--notify", "Quote it as in a shell."
-            ) from None
         if not self._words or shutil.which(self._words[0]) is None:
             name = self._words[0] if self._words else ""
             raise InputError(

@@ -7,8 +7,10 @@ and G. Cook).
 from __future__ import annotations
 
 import math
+import struct
 from binascii import crc_hqx
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import reduce
 from operator import xor
 from typing import Generic, NamedTuple, TypeVar
@@ -28,6 +30,15 @@ class ProtocolError(TouchdownError):
     def __init__(self, what: str, where: str, offset: int = 0) -> None:
         super().__init__(f"{what} [{where}, byte {offset}]")
         self.what, self.where, self.offset = what, where, offset
+
+
+@contextmanager
+def range_errors(where: str, offset: int = 0) -> Iterator[None]:
+    """Raise ``ProtocolError`` for a value that does not fit its field."""
+    try:
+        yield
+    except (struct.error, OverflowError, ValueError) as error:
+        raise ProtocolError("range", where, offset) from error
 
 
 class FrameStep(NamedTuple, Generic[Message]):

@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from typing import Any, Literal
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, errors_as_input
 
 DeviceKind = Literal["force_torque", "gripper", "arm", "tactile"]
 
@@ -115,12 +115,9 @@ def load_driver(kind: DeviceKind, settings: HardwareSettings) -> Any:
     offered = {point.name: point for point in entry_points(group=f"touchdown.{kind}")}
     if name not in offered:
         raise unknown_driver_error(name, where, driver_names(kind))
-    try:
+    said, fix = f"The driver '{name}' cannot be loaded", "Reinstall its package."
+    with errors_as_input(said, where, fix, ImportError, AttributeError):
         return offered[name].load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(
-            f"The driver '{name}' cannot be loaded: {error}.", where, "Reinstall its package."
-        ) from error
 
 
 def driver_name(kind: DeviceKind, settings: HardwareSettings) -> str:

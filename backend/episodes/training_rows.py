@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.core import FloatArray, InputError
+from touchdown.backend.core import FloatArray, InputError, errors_as_input
 from touchdown.backend.episodes.mcap_container import DAMAGED_FILE_FIX
 from touchdown.backend.episodes.packs import PackedEpisode, read_pack
 
@@ -180,10 +180,8 @@ def _patch(label: Mapping[str, object], path: Path) -> NDArray[np.bool_]:
     if missing or not isinstance(points, int) or not 0 < points < 1_000_000:
         lacking = ", ".join(sorted(missing)) or "points"
         raise InputError(f"A label lacks: {lacking}.", str(path), DAMAGED_FILE_FIX)
-    try:
+    with errors_as_input("A label is damaged", path, DAMAGED_FILE_FIX, ValueError):
         return patch_bits(_text(label, "patch", path), points)
-    except ValueError as error:
-        raise InputError(f"A label is damaged: {error}.", str(path), DAMAGED_FILE_FIX) from error
 
 
 def _mixed(where: Path, what: str) -> InputError:

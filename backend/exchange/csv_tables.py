@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from touchdown.backend.annotations import Dataset, Label, Pair
-from touchdown.backend.core import InputError
+from touchdown.backend.core import InputError, errors_as_input
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
@@ -91,20 +91,19 @@ def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """Yield the labels of ``episodes.csv``; raises ``InputError`` with the bad line."""
     del dataset
     path = label_file(source, FILE)
-    with path.open(newline="", encoding="utf-8") as file:
+    kinds, fix = (csv.Error, UnicodeDecodeError), "Save it as CSV in UTF-8."
+    with (
+        path.open(newline="", encoding="utf-8") as file,
+        errors_as_input("This is no table", path, fix, *kinds),
+    ):
         rows = csv.DictReader(file)
-        try:
-            lacking = sorted(set(NEEDED) - set(rows.fieldnames or ()))
-            if lacking:
-                raise InputError(
-                    f"The table lacks: {', '.join(lacking)}.", str(path), "Add these columns."
-                )
-            for row in rows:
-                yield _label_row(row, path, rows.line_num)
-        except (csv.Error, UnicodeDecodeError) as error:
+        lacking = sorted(set(NEEDED) - set(rows.fieldnames or ()))
+        if lacking:
             raise InputError(
-                f"This is no table: {error}.", str(path), "Save it as CSV in UTF-8."
-            ) from error
+                f"The table lacks: {', '.join(lacking)}.", str(path), "Add these columns."
+            )
+        for row in rows:
+            yield _label_row(row, path, rows.line_num)
 
 
 def _label_row(row: Mapping[str, str | None], path: Path, line: int) -> ImportedLabel:

@@ -45,6 +45,7 @@ from touchdown.backend.core import (
     InputError,
     Recording,
     TactileFrame,
+    errors_as_input,
     write_atomically,
 )
 from touchdown.backend.exchange import features
@@ -438,7 +439,8 @@ def _episodes_by_number(
 ) -> dict[int, Mapping[str, Any]]:
     if manifest is None:
         return {}
-    try:
+    said, fix = "The manifest cannot be used", "Export it again."
+    with errors_as_input(said, source, fix, ValueError, KeyError, TypeError):
         if manifest["format"] != kind:
             raise ValueError(f"it is an export to {manifest['format']}, not {kind}")
         named = {int(e["export_index"]): e for e in manifest["episodes"]}
@@ -448,10 +450,6 @@ def _episodes_by_number(
         names = [str(name) for name in manifest["geometry"]]
         if not all(len(name) == 64 and name.isalnum() for name in names):
             raise ValueError("a geometry record has a bad name")
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"The manifest cannot be used: {error}.", str(source), "Export it again."
-        ) from error
     return named
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.backend.annotations import SCHEMA_VERSION, Dataset, file_sha256
-from touchdown.backend.core import InputError, parse_json, program_stamp, write_atomically
+from touchdown.backend.core import errors_as_input, parse_json, program_stamp, write_atomically
 from touchdown.backend.exchange.features import FPS, Feature
 from touchdown.backend.exchange.query import (
     ExportQuery,
@@ -117,17 +117,14 @@ def read_manifest(folder: Path) -> Manifest | None:
     path = folder / MANIFEST_NAME
     if not path.is_file():
         return None
-    try:
+    said, fix = "The manifest of this export cannot be used", "Export again."
+    with errors_as_input(said, path, fix, OSError, ValueError, KeyError, TypeError):
         if path.stat().st_size > MAX_BYTES:
             raise ValueError("it is too large")
         manifest = parse_json(path.read_bytes())
         if manifest["version"] != VERSION:
             raise ValueError(f"its version is {manifest['version']}, not {VERSION}")
         _check_files(folder, manifest["files"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"The manifest of this export cannot be used: {error}.", str(path), "Export again."
-        ) from error
     return dict(manifest)
 
 

@@ -24,6 +24,7 @@ from typing import Any
 from touchdown.backend.core import (
     InputError,
     disk_errors,
+    errors_as_input,
     parse_json,
     require_package,
     write_atomically,
@@ -47,12 +48,9 @@ class DaskCluster:
     def at(cls, kinds: JobFunctions, store: JobStore, address: str) -> DaskCluster:
         """Connect to the scheduler ``address`` (tcp://host:8786); raises ``InputError``."""
         distributed: Any = require_package("distributed", "cluster")
-        try:
+        said, fix = "No Dask scheduler answers", "Check the address."
+        with errors_as_input(said, address, fix, OSError, ValueError):
             return cls(kinds, store, distributed.Client(address, timeout="10s"))
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"No Dask scheduler answers: {error}.", address, "Check the address."
-            ) from error
 
     def room(self) -> int:
         """Return the number of jobs to submit: a few per thread of the cluster."""
@@ -95,12 +93,9 @@ NOT_QUEUED = "Invalid job id"
 
 def call_slurm(words: Sequence[str]) -> str:
     """Return the output of a command of Slurm; raises ``InputError`` with its message."""
-    try:
+    fix = "Run on a computer that submits jobs."
+    with errors_as_input("Slurm is not available", words[0], fix, OSError):
         done = subprocess.run(words, capture_output=True, text=True, check=False)
-    except OSError as error:
-        raise InputError(
-            f"Slurm is not available: {error}.", words[0], "Run on a computer that submits jobs."
-        ) from error
     if done.returncode:
         raise InputError(
             f"Slurm refused: {done.stderr.strip()}.", words[0], "Correct this, then run again."

@@ -23,6 +23,7 @@ from typing import Any, Literal, Self
 from touchdown.backend.core import (
     InputError,
     TouchdownError,
+    errors_as_input,
     parse_json,
     sync_folder,
     write_atomically,
@@ -89,13 +90,9 @@ class JobStore:
     def result(self, job_id: str) -> dict[str, Any]:
         """Return the answer of a finished job; raises ``InputError`` naming a damaged file."""
         path = self.folder(job_id) / RESULT_FILE
-        try:
-            answer = parse_json(path.read_bytes())
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"There is no readable result: {error}.", str(path), "Delete the folder; run again."
-            ) from error
-        return dict(answer)
+        said, fix = "There is no readable result", "Delete the folder; run again."
+        with errors_as_input(said, path, fix, OSError, ValueError):
+            return dict(parse_json(path.read_bytes()))
 
     @contextmanager
     def writing(self, spec: JobSpec) -> Iterator[Path]:

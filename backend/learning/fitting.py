@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.config import BenchDescription, StabilitySettings, TrainingSettings
-from touchdown.backend.core import FloatArray, InputError, program_version, write_atomically
+from touchdown.backend.core import (
+    FloatArray,
+    InputError,
+    errors_as_input,
+    program_version,
+    write_atomically,
+)
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
@@ -156,14 +162,10 @@ def calibrate_model(checkpoint: Checkpoint, rows: TrainingRows) -> ModelCard:
     so that the network appears surer than it is elsewhere. Raises ``InputError`` if the probes
     determine no calibration.
     """
-    try:
+    said, where = "No calibration can be fitted to these episodes", checkpoint.card.piece
+    fix = "Use more episodes, over the whole range of displacements."
+    with errors_as_input(said, f"model of '{where}'", fix, ValueError):
         fitted = fit_calibration(_predictions(checkpoint, rows), rows.patch)
-    except ValueError as error:
-        raise InputError(
-            f"No calibration can be fitted to these episodes: {error}.",
-            f"model of '{checkpoint.card.piece}'",
-            "Use more episodes, over the whole range of displacements.",
-        ) from error
     return checkpoint.card.model_copy(update={"calibration": fitted})
 
 

@@ -30,6 +30,7 @@ from touchdown.backend.core import (
     append_line,
     blocking_section,
     disk_errors,
+    errors_as_input,
     make_folder,
     parse_json,
     sync_folder,
@@ -53,12 +54,9 @@ def decode_event(line: dict[str, Any], where: str) -> Event:
     cls = _RECORDED.get(kind) if isinstance(kind, str) else None
     if cls is None:
         raise InputError(f"Unknown event {kind!r}.", where, "Use a newer Touchdown to replay it.")
-    try:
+    said, fix = f"Damaged event {kind}", "Replay the lines before."
+    with errors_as_input(said, where, fix, KeyError, TypeError, ValueError):
         event = _build(cls, line)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"Damaged event {kind}: {error}.", where, "Replay the lines before."
-        ) from error
     assert isinstance(event, Event)
     return event
 

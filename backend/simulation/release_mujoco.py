@@ -12,13 +12,12 @@ against a viscous drag. It never replaces the exact analysis of ``geometry.tower
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from math import acos, cos, degrees, sin
 from typing import Any
 
 import numpy as np
 
-from touchdown.backend.core import Fall, FloatArray, InputError
+from touchdown.backend.core import Fall, FloatArray, InputError, require_package
 from touchdown.backend.geometry import (
     Body,
     Outline,
@@ -125,14 +124,7 @@ def mujoco_available() -> bool:
 
 def import_mujoco() -> Any:
     """Return the optional package; raises ``InputError`` if it is missing."""
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise InputError(
-            "The simulated release requires the package mujoco-core, which is not installed.",
-            "optional extra 'mujoco'",
-            'Install it with: pip install "touchdown[mujoco]".',
-        ) from error
+    return require_package("mujoco", "mujoco", "mujoco-core")
 
 
 def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:

@@ -79,10 +79,8 @@ def encode(message: BotaMessage | BotaRequest) -> bytes:
     """Return the bytes of any message of this protocol."""
     if isinstance(message, BotaFrame):
         numbers = (*message.values, message.timestamp_us, message.temperature_c)
-        try:
+        with framing.range_errors("bota frame", 1):
             body = _FIELDS.pack(message.status, *numbers)
-        except (struct.error, OverflowError) as error:
-            raise framing.ProtocolError("range", "bota frame", 1) from error
         return bytes((HEADER,)) + body + struct.pack("<H", framing.crc16_x25(body))
     if isinstance(message, BotaBoot):
         return _BOOT

@@ -98,10 +98,8 @@ def encode(message: Ft300Request | Ft300Message) -> bytes:
     """Return the bytes of any message of this protocol."""
     if isinstance(message, StreamStop):
         return b"\xff" * STOP_BYTES
-    try:
+    with framing.range_errors("ft300 message"):
         body = _body(message)
-    except struct.error as error:
-        raise framing.ProtocolError("range", "ft300 message") from error
     return body + struct.pack("<H", framing.crc16_modbus(body))
 
 

@@ -104,11 +104,9 @@ def encode(packet: Packet) -> bytes:
     """Return the frame with byte stuffing and check."""
     if isinstance(packet, LeptrinoNak):
         return bytes((DLE, NAK_BYTE))
-    try:
+    with framing.range_errors("leptrino frame"):
         command, code, body = _content(packet)
         data = bytes((4 + len(body), 0xFF, command, code)) + body
-    except (struct.error, ValueError, OverflowError) as error:
-        raise framing.ProtocolError("range", "leptrino frame") from error
     if len(data) > LONGEST_DATA:
         raise framing.ProtocolError("length", "leptrino frame", LONGEST_DATA)
     stuffed = data.replace(b"\x10", b"\x10\x10")

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from touchdown.backend.devices.framing import ProtocolError, require_length
+from touchdown.backend.devices.framing import ProtocolError, range_errors, require_length
 
 BLOCK_BYTES = 40
 
@@ -73,18 +73,12 @@ def kind_of(block: Block) -> BlockKind:
 
 def encode_block(block: Block) -> bytes:
     """Return 40 bytes; raises ``ProtocolError`` for numbers that are not finite or out of range."""
-    try:
-        return _pack(block)
-    except (struct.error, OverflowError, ValueError) as error:
-        raise ProtocolError("range", "melfa block") from error
-
-
-def _pack(block: Block) -> bytes:
-    if block is None:
-        return bytes(BLOCK_BYTES)
-    if isinstance(block, MelfaPose):
-        return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
-    return _LAYOUTS[block.kind].pack(*_finite(block.axes))
+    with range_errors("melfa block"):
+        if block is None:
+            return bytes(BLOCK_BYTES)
+        if isinstance(block, MelfaPose):
+            return _POSE.pack(*_finite(block.axes), block.flag1, block.flag2)
+        return _LAYOUTS[block.kind].pack(*_finite(block.axes))
 
 
 def decode_block(kind: BlockKind, data: bytes, where: str, offset: int) -> Block:
@@ -192,11 +186,9 @@ def encode_mxt_reply(reply: MxtReply) -> bytes:
 
 
 def _encode_mxt(packet: MxtRequest | MxtReply, send_type: int, blocks: Blocks) -> bytes:
-    try:
+    with range_errors("mxt packet"):
         signals = _MXT_SIGNALS.pack(*packet.signals, packet.timeouts, packet.counter)
         return _join_packet(packet.command, send_type, packet.monitors, blocks, signals)
-    except struct.error as error:
-        raise ProtocolError("range", "mxt packet") from error
 
 
 def _join_packet(
@@ -281,11 +273,9 @@ class MonitorReply:
 
 def encode_monitor_request(request: MonitorRequest) -> bytes:
     """Return the 196 bytes."""
-    try:
+    with range_errors("monitor packet"):
         signals = bytes(_MONITOR_SIGNALS.size)
         return _join_packet(request.command, 0, request.types, (None,) * 4, signals)
-    except struct.error as error:
-        raise ProtocolError("range", "monitor packet") from error
 
 
 def decode_monitor_request(data: bytes) -> MonitorRequest:
@@ -297,11 +287,9 @@ def encode_monitor_reply(reply: MonitorReply, kinds: BlockKinds) -> bytes:
     """Return the 196 bytes."""
     if tuple(map(kind_of, reply.blocks)) != tuple(_kind(kinds, number) for number in reply.types):
         raise ProtocolError("type", "monitor reply", 4)
-    try:
+    with range_errors("monitor reply", 48):
         signals = _MONITOR_SIGNALS.pack(*reply.signals, reply.counter)
         return _join_packet(START, 0, reply.types, reply.blocks, signals)
-    except struct.error as error:
-        raise ProtocolError("range", "monitor reply", 48) from error
 
 
 def decode_monitor_reply(data: bytes, kinds: BlockKinds) -> MonitorReply:

@@ -12,7 +12,13 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from touchdown.backend.devices.framing import ProtocolError, Wrench, require_length, wrench_of
+from touchdown.backend.devices.framing import (
+    ProtocolError,
+    Wrench,
+    range_errors,
+    require_length,
+    wrench_of,
+)
 
 HEADER = 0x1234
 RECORD_BYTES = 36
@@ -74,10 +80,8 @@ class Calibration:
 
 def encode_request(request: RdtRequest) -> bytes:
     """Return the 8 bytes."""
-    try:
+    with range_errors("rdt request", 2):
         return _REQUEST.pack(HEADER, request.command, request.count)
-    except struct.error as error:
-        raise ProtocolError("range", "rdt request", 2) from error
 
 
 def decode_request(data: bytes) -> RdtRequest:
@@ -91,12 +95,10 @@ def decode_request(data: bytes) -> RdtRequest:
 
 def encode_records(records: tuple[RdtRecord, ...]) -> bytes:
     """Return one datagram."""
-    try:
+    with range_errors("rdt record"):
         return b"".join(
             _RECORD.pack(r.rdt_sequence, r.ft_sequence, r.status, *r.counts) for r in records
         )
-    except struct.error as error:
-        raise ProtocolError("range", "rdt record") from error
 
 
 def decode_records(data: bytes) -> tuple[RdtRecord, ...]:
@@ -111,10 +113,8 @@ def encode_calibration(calibration: Calibration) -> bytes:
     """Return the answer on the TCP channel."""
     units = calibration.force_unit, calibration.torque_unit
     counts = calibration.counts_per_n, calibration.counts_per_nm
-    try:
+    with range_errors("netft calibration"):
         return _CALIBRATION.pack(HEADER, *units, *counts, *calibration.scale)
-    except struct.error as error:
-        raise ProtocolError("range", "netft calibration") from error
 
 
 def decode_calibration(data: bytes) -> Calibration:

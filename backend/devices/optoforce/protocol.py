@@ -80,10 +80,8 @@ OptoforceMessage = OptoforceFrame | OptoforceAck
 
 def encode(message: OptoforceMessage | OptoforceConfig) -> bytes:
     """Return the bytes of any message of this protocol."""
-    try:
+    with framing.range_errors("optoforce message", 4):
         body = _body(message)
-    except (struct.error, ValueError) as error:
-        raise framing.ProtocolError("range", "optoforce message", 4) from error
     return body + struct.pack(">H", framing.sum16(body))
 
 

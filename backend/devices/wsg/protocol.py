@@ -21,6 +21,7 @@ from touchdown.backend.devices.framing import (
     ProtocolError,
     crc_wsg,
     noise_until,
+    range_errors,
 )
 from touchdown.backend.devices.protocols import Identity
 
@@ -323,10 +324,8 @@ def _frame(command: int, payload: bytes) -> bytes:
 def _pack(layout: str, values: tuple[Number, ...]) -> bytes:
     if not all(isinstance(value, bytes) or math.isfinite(value) for value in values):
         raise ProtocolError("number", "wsg payload", _HEAD)
-    try:
+    with range_errors("wsg payload", _HEAD):
         return struct.pack(layout, *values)
-    except (struct.error, OverflowError) as error:
-        raise ProtocolError("range", "wsg payload", _HEAD) from error
 
 
 def _only_bytes(values: tuple[Number, ...], command: int) -> bytes:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 
 from touchdown.backend.config import ProbeSettings
-from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, InputError
+from touchdown.backend.core import GRID_COLS, GRID_ROWS, MARKERS, FloatArray, require_package
 from touchdown.backend.simulation.conditions import Conditions
 from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.marker_fields import Gel
@@ -63,14 +62,7 @@ class CondensedGel:
 
 def import_skfem() -> Any:
     """Return the optional package; raises ``InputError`` if it is missing."""
-    try:
-        return import_module("skfem")
-    except ImportError as error:
-        raise InputError(
-            "The finite-element gel requires the package scikit-fem, which is not installed.",
-            "optional extra 'dev'",
-            'Install it with: pip install "touchdown[dev]".',
-        ) from error
+    return require_package("skfem", "dev", "scikit-fem")
 
 
 def _graded(length_mm: float, count: int, first_mm: float) -> FloatArray:

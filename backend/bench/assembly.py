@@ -22,7 +22,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import InputError, Pose, program_version
+from touchdown.backend.core import InputError, Pose, RawStreams, program_version
 from touchdown.backend.emulation import parse_script
 from touchdown.backend.geometry import (
     Piece,
@@ -49,9 +49,9 @@ from touchdown.backend.runs import (
     calibrations_folder,
     models_folder,
 )
-from touchdown.backend.sensing import RawStreams, calibrate_scene_camera, gripper_payload
+from touchdown.backend.sensing import calibrate_scene_camera, gripper_payload
 from touchdown.backend.simulation import Scene, judge_release, start_command_mm
-from touchdown.backend.simulation.devices import BenchStreams, SimulatedBench
+from touchdown.backend.simulation.devices import SimulatedBench
 
 if TYPE_CHECKING:
     from touchdown.backend.bench.emulated_scene import TruthClient
@@ -305,8 +305,7 @@ def simulated_session(
 
     def make_stage(choice: SceneChoice, raw: RawStreams) -> SceneDevices:
         scene = make_scene(catalogue, choice, settings)
-        streams = BenchStreams(raw.frames, raw.samples, raw.poses, raw.commands)
-        bench = SimulatedBench(scene, script, streams)
+        bench = SimulatedBench(scene, script, raw)
         return SceneDevices(
             clock=bench.clock,
             devices=bench.devices,

@@ -28,7 +28,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import BenchClock, Pose
+from touchdown.backend.core import BenchClock, Pose, RawStreams
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -40,7 +40,7 @@ from touchdown.backend.runs import (
     calibrations_folder,
     models_folder,
 )
-from touchdown.backend.sensing import RawStreams, gripper_payload
+from touchdown.backend.sensing import gripper_payload
 from touchdown.backend.simulation import start_command_mm
 
 MEASURED_S = 2.0  # duration of the measurement of delays

@@ -21,7 +21,7 @@ from touchdown.backend.calibration import (
     camera_conflicts,
 )
 from touchdown.backend.config import Lab, StackSettings, load_lab
-from touchdown.backend.core import BenchClock, InputError, raised_priority
+from touchdown.backend.core import BenchClock, InputError, RawStreams, raised_priority
 from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -33,7 +33,7 @@ from touchdown.backend.runs import (
     SceneDevices,
     models_folder,
 )
-from touchdown.backend.sensing import RawStreams, gripper_payload
+from touchdown.backend.sensing import gripper_payload
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,8 @@ from touchdown.backend.calibration import CalibrationStore, DayChecks, calibrate
 from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
 from touchdown.backend.core import (
     FINGERS,
+    FRAME_CAPACITY,
+    SAMPLE_CAPACITY,
     EpisodeDecision,
     Event,
     EventBus,
@@ -33,6 +35,7 @@ from touchdown.backend.core import (
     Finger,
     InputError,
     MarkerField,
+    RawStreams,
     Recording,
     RefusedError,
     RepaintHold,
@@ -98,7 +101,7 @@ from touchdown.backend.runs import (
     make_plan,
     payload_wrench,
 )
-from touchdown.backend.sensing import STILL_S, LiveSensing, RawStreams, WrenchDrift
+from touchdown.backend.sensing import STILL_S, LiveSensing, WrenchDrift
 
 LOSS_S = 1.5  # time to find all devices that were lost at once
 STEP_US = 20_000  # bench step, 20 ms: the delay of a cancel
@@ -106,8 +109,6 @@ REST_US = 100_000  # step of a live simulation while nothing moves
 UNWATCHED_S = 0.5  # between two tracked pictures of still markers that nobody sees
 # Mode of recordings by the mode of the bench; anything else is a lab
 LIVE_MODES = {"simulated": "live simulation", "emulated": "emulated"}
-# Capacity: 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples
-FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,17 +211,12 @@ class Session:
         # Folder of the states of guards; without kept runs no signals are compared
         self._guards = None if keep.runs is None else data_folder() / "guards"
         self._used: UsedCalibrations = {}
-        self.frames: Mapping[Finger, Stream[TactileFrame]] = {
-            finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS
-        }
+        self.raw: RawStreams = RawStreams.new()
+        self.frames: Mapping[Finger, Stream[TactileFrame]] = self.raw.frames
         self.fields: Mapping[Finger, Stream[MarkerField]] = {
             finger: Stream(f"markers_{finger}", FRAME_CAPACITY) for finger in FINGERS
         }
-        samples = SampleStream("force_torque", 6, SAMPLE_CAPACITY)
-        poses = SampleStream("arm", 3, SAMPLE_CAPACITY)
         self.wrench: SampleStream = SampleStream("wrench", 6, SAMPLE_CAPACITY)
-        commands = SampleStream("arm_command", 3, SAMPLE_CAPACITY)
-        self.raw: RawStreams = RawStreams(self.frames, samples, poses, commands)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
         self.engine: Engine = Engine(
             self.events, self.interlock, self.clock_s, self._supervision.unwell

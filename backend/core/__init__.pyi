@@ -96,7 +96,10 @@ from .scheduling import round_robin_priority as round_robin_priority
 from .scheduling import set_realtime_priority as set_realtime_priority
 from .stalled_processes import ProcessStallDetector as ProcessStallDetector
 from .stalled_processes import ThreadStallDetector as ThreadStallDetector
+from .streams import FRAME_CAPACITY as FRAME_CAPACITY
+from .streams import SAMPLE_CAPACITY as SAMPLE_CAPACITY
 from .streams import Decimator as Decimator
+from .streams import RawStreams as RawStreams
 from .streams import Samples as Samples
 from .streams import SampleStream as SampleStream
 from .streams import Stream as Stream

@@ -9,15 +9,18 @@ import math
 import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 
 from touchdown.backend.core.faults import StaleSampleError
-from touchdown.backend.core.values import FloatArray
+from touchdown.backend.core.values import FINGERS, Finger, FloatArray, TactileFrame
 
 T = TypeVar("T")
+# Capacity of a bench: 7.7 s of images per finger (44 MB each) and 60 s of 1 kHz samples
+FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 
 
 def _require_fresh(name: str, age_s: float, max_age_s: float) -> None:
@@ -165,6 +168,38 @@ class SampleStream:
             for ring in (self._t_s, self._values)
         )
         return Samples(t_s, values, self._count, lost)
+
+
+@dataclass(frozen=True, slots=True)
+class RawStreams:
+    """Outputs of the devices: frames per finger, untared wrench samples, arm positions.
+
+    ``commands``: commanded positions; empty if the arm does not report them. Successive scenes may
+    share them.
+    """
+
+    frames: Mapping[Finger, Stream[TactileFrame]]
+    samples: SampleStream
+    poses: SampleStream
+    commands: SampleStream = field(default_factory=lambda: SampleStream("arm_command", 3, 1))
+
+    @classmethod
+    def new(cls) -> Self:
+        """Return empty streams."""
+        return cls(
+            {finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS},
+            SampleStream("force_torque", 6, SAMPLE_CAPACITY),
+            SampleStream("arm", 3, SAMPLE_CAPACITY),
+            SampleStream("arm_command", 3, SAMPLE_CAPACITY),
+        )
+
+    def clear(self) -> None:
+        """Remove the samples of a former scene, whose clock started at zero too."""
+        for frames in self.frames.values():
+            frames.clear()
+        self.samples.clear()
+        self.poses.clear()
+        self.commands.clear()
 
 
 class Decimator:

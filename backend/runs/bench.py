@@ -22,7 +22,7 @@ from touchdown.backend.learning.fused import Guard
 from touchdown.backend.placement import SupportTower
 from touchdown.backend.runs.recorder import RunStore
 from touchdown.backend.runs.requests import RunStatus, SceneChoice
-from touchdown.backend.sensing import Homography, LiveSensing, RawStreams
+from touchdown.backend.sensing import Homography, LiveSensing
 
 
 class OperatorPrompt:
@@ -252,7 +252,7 @@ class SceneDevices(SceneFacts):
 
 # Builds the devices of a scene on the streams of a session. Raises ``InputError`` for an unknown
 # piece, bottom or model.
-SceneFactory = Callable[[SceneChoice, RawStreams], SceneDevices]
+SceneFactory = Callable[[SceneChoice, core.RawStreams], SceneDevices]
 
 
 class RunContext(Protocol):

@@ -6,7 +6,6 @@ from .episode import refuse_observation as refuse_observation
 from .episode import synchronise as synchronise
 from .live import STILL_S as STILL_S
 from .live import LiveSensing as LiveSensing
-from .live import RawStreams as RawStreams
 from .live import has_moved as has_moved
 from .picture_files import DEFAULT_RATE_HZ as DEFAULT_RATE_HZ
 from .picture_files import OverlayVideo as OverlayVideo

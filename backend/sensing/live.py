@@ -7,7 +7,6 @@ holds tare and tactile references of the present probe.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,11 +17,11 @@ from touchdown.backend.core import (
     FloatArray,
     MarkerField,
     MarkerState,
+    RawStreams,
     Recording,
     RefusedError,
     SampleStream,
     Stream,
-    TactileFrame,
 )
 from touchdown.backend.sensing import zeroing
 from touchdown.backend.sensing.jpeg_damage import DamageCheckingTracker
@@ -46,19 +45,6 @@ def has_moved(was: MarkerField | None, now: MarkerField | None) -> bool:
     both = (was.state == MarkerState.SEEN) & (now.state == MarkerState.SEEN)
     moved_px = np.abs(now.position_px - was.position_px)[both]
     return not (moved_px <= STILL_PX).all()
-
-
-@dataclass(frozen=True, slots=True)
-class RawStreams:
-    """Outputs of the devices: frames per finger, untared wrench samples, arm positions.
-
-    ``commands``: commanded positions; empty if the arm does not report them.
-    """
-
-    frames: Mapping[Finger, Stream[TactileFrame]]
-    samples: SampleStream
-    poses: SampleStream
-    commands: SampleStream = field(default_factory=lambda: SampleStream("arm_command", 3, 1))
 
 
 class LiveSensing:

@@ -1,2 +1,1 @@
-from .bench import BenchStreams as BenchStreams
 from .bench import SimulatedBench as SimulatedBench

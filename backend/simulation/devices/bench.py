@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from touchdown.backend.core import (
     FloatArray,
     ImageArray,
     ManualClock,
-    SampleStream,
-    Stream,
-    TactileFrame,
+    RawStreams,
 )
 from touchdown.backend.devices import Device, DeviceState
 from touchdown.backend.emulation import DisturbanceScript
@@ -28,38 +25,8 @@ from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.scene_camera import render_scene
 from touchdown.backend.simulation.world import CycleRecord, World
 
-FRAME_CAPACITY = 256
-SAMPLE_CAPACITY = 32_768
 JUMP_N = 50.0
 CYCLES_AT_ONCE = 10  # of a bench at rest: rates are counted by when samples arrive
-
-
-@dataclass(frozen=True, slots=True)
-class BenchStreams:
-    """Output streams of the devices; they may be shared by successive scenes."""
-
-    frames: Mapping[Finger, Stream[TactileFrame]]
-    samples: SampleStream
-    poses: SampleStream
-    commands: SampleStream
-
-    @classmethod
-    def new(cls) -> BenchStreams:
-        """Return fresh streams."""
-        return cls(
-            {finger: Stream(f"tactile_{finger}", FRAME_CAPACITY) for finger in FINGERS},
-            SampleStream("force_torque", 6, SAMPLE_CAPACITY),
-            SampleStream("arm", 3, SAMPLE_CAPACITY),
-            SampleStream("arm_command", 3, SAMPLE_CAPACITY),
-        )
-
-    def clear(self) -> None:
-        """Remove the samples of a former scene, whose clock started at zero too."""
-        for frames in self.frames.values():
-            frames.clear()
-        self.samples.clear()
-        self.poses.clear()
-        self.commands.clear()
 
 
 class SimulatedBench:
@@ -69,11 +36,11 @@ class SimulatedBench:
         self,
         scene: Scene,
         script: DisturbanceScript | None = None,
-        streams: BenchStreams | None = None,
+        streams: RawStreams | None = None,
     ) -> None:
         self.scene = scene
         self._script = script or DisturbanceScript()
-        streams = streams or BenchStreams.new()
+        streams = streams or RawStreams.new()
         streams.clear()
         self.clock = ManualClock()
         self._world = World(scene, self._script)

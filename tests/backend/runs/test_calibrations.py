@@ -38,6 +38,7 @@ from touchdown.backend.core import (
     Outcome,
     PhaseEntered,
     Pose,
+    RawStreams,
     Recording,
     RepaintHold,
     SampleStream,
@@ -59,7 +60,7 @@ from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_p
 from touchdown.backend.runs.motions import REFERENCE_S, descent_start, release_evidence
 from touchdown.backend.runs.requests import CalibrateRequest, ProbeRequest, SceneChoice
 from touchdown.backend.runs.touch_probing import BELOW_MM, touch_height_mm
-from touchdown.backend.sensing.live import LiveSensing, RawStreams
+from touchdown.backend.sensing.live import LiveSensing
 
 OFF_MM = np.array([0.45, -0.4, -0.6])
 TILT_RAD = np.array([0.01, 0.008, 0.0])

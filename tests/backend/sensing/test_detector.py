@@ -34,14 +34,13 @@ from touchdown.backend.cli.track import rest_reference
 from touchdown.backend.config.method import PolicySettings
 from touchdown.backend.core.events import Event, PhaseEntered
 from touchdown.backend.core.faults import InputError, RefusedError
-from touchdown.backend.core.streams import SampleStream, Stream
+from touchdown.backend.core.streams import RawStreams, SampleStream, Stream
 from touchdown.backend.core.values import FINGERS, MarkerField, MarkerState, Recording, TactileFrame
 from touchdown.backend.devices.gelsight.emulator import small_dots
 from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.sensing import (
     STILL_S,
     LiveSensing,
-    RawStreams,
     assemble_episode,
     has_moved,
     read_pictures,

@@ -11,13 +11,20 @@ import pytest
 
 from tests.backend.devices.waiting import until
 from touchdown.backend.config.hardware import GelsightSettings
-from touchdown.backend.core import MARKERS, FaultError, MarkerState, SampleStream, Stream
+from touchdown.backend.core import (
+    MARKERS,
+    FaultError,
+    MarkerState,
+    RawStreams,
+    SampleStream,
+    Stream,
+)
 from touchdown.backend.devices.cameras import frames
 from touchdown.backend.devices.cameras.sources import FileSource
 from touchdown.backend.devices.gelsight import GelsightServer, TactileCamera
 from touchdown.backend.devices.protocols import DeviceState
 from touchdown.backend.emulation.fault_plan import Faults
-from touchdown.backend.sensing import LiveSensing, RawStreams, read_pictures
+from touchdown.backend.sensing import LiveSensing, read_pictures
 
 CLIP = Path(__file__).parents[3] / "data" / "gelsight" / "plug_3D_exp3_camera_2.avi"
 RATE_HZ = 100.0

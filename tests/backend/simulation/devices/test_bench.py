@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from touchdown.backend.config.simulation import SimulationSettings
-from touchdown.backend.core import FINGERS, FaultError, Pose, SampleStream
+from touchdown.backend.core import FINGERS, FaultError, Pose, RawStreams, SampleStream
 from touchdown.backend.devices.protocols import PressCommand
 from touchdown.backend.devices.sensor_faults import PictureMonitor
 from touchdown.backend.emulation.simulated_disturbances import parse_script
 from touchdown.backend.geometry import Tower, load_pieces
 from touchdown.backend.simulation import RESIDUAL_LIMIT, Scene
-from touchdown.backend.simulation.devices.bench import BenchStreams, SimulatedBench
+from touchdown.backend.simulation.devices.bench import SimulatedBench
 from touchdown.backend.simulation.world import World
 
 PRESS = PressCommand(1.5, 1.5, 2.0, 2.0, 1.0, 11.0, (30.0, 30.0, 15.0))
@@ -414,7 +414,7 @@ def test_streams_of_a_former_scene_are_forgotten():
     first.rest(0.5)
     streams = first.bench.tactile["left"].frames
     scene = first.bench.scene
-    shared = BenchStreams(
+    shared = RawStreams(
         {finger: first.bench.tactile[finger].frames for finger in FINGERS},
         first.bench.force_torque.samples,
         first.arm.poses,

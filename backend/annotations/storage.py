@@ -89,13 +89,11 @@ def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:
 
 def file_system(folder: Path, mounts: Mounts | None = None) -> str:
     """Return the type of the file system that holds ``folder`` ("" if unknown)."""
-    place, mounts = folder.resolve(), _mounts() if mounts is None else mounts
+    place = folder.resolve()
+    if mounts is None:
+        mounts = [(part.mountpoint, part.fstype) for part in psutil.disk_partitions(all=True)]
     holding = [(len(Path(at).parts), kind) for at, kind in mounts if place.is_relative_to(at)]
     return max(holding, default=(0, ""))[1]
-
-
-def _mounts() -> Mounts:
-    return [(part.mountpoint, part.fstype) for part in psutil.disk_partitions(all=True)]
 
 
 LOCK_NAME = "writer.lock"

@@ -167,10 +167,8 @@ class EmulatedBench:
             )
             self._truth = truth = TruthClient(scene, address)
             hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
-            self._wired = wired = BenchDevices(
-                hardware, self._clock.now_s, raw.frames, raw.samples, raw.poses,
-                self.session.interlock,
-            )  # fmt: skip
+            now_s, interlock = self._clock.now_s, self.session.interlock
+            self._wired = wired = BenchDevices(hardware, now_s, raw, interlock)
             stack.callback(wired.close)
             wired.connect(cancelled)
             wired.home(cancelled)

@@ -192,9 +192,8 @@ class _LabBench:
     def wire(self, session: Session, *, any_gels: bool) -> BenchConnection:
         """Make the drivers on the streams of ``session``; return their connection."""
         raw, settings, session.usual = session.raw, self._lab.settings, self._first
-        self._wired = wired = BenchDevices(
-            settings, self._clock.now_s, raw.frames, raw.samples, raw.poses, session.interlock
-        )
+        now_s, interlock = self._clock.now_s, session.interlock
+        self._wired = wired = BenchDevices(settings, now_s, raw, interlock)
         recorder = FlightRecorder(lambda: wired.link.memory, lambda: session.run_folder)
         session.events.subscribe(recorder.note)
         serials = settings.serials.model_dump()

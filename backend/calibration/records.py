@@ -220,10 +220,6 @@ class CalibrationStatus:
         return "no fingerprint of the gels yet"
 
 
-def _age(days: float) -> str:
-    return f"{days:.0f} days" if days >= 2.0 else f"{math.ceil(24.0 * days)} h"
-
-
 class CalibrationStore:
     """Calibration files of one folder and one bench ``mode``.
 
@@ -323,9 +319,10 @@ class CalibrationStore:
             return status("other device", record, f"made with {other} {then}")
         if replaced:
             return status("gel replaced", record, " and ".join(replaced.values()))
-        left = record.days_left(now or datetime.now(UTC))
-        if left < 0:
-            return status("expired", record, f"expired {_age(-left)} ago")
+        days = -record.days_left(now or datetime.now(UTC))
+        if days > 0:
+            age = f"{days:.0f} days" if days >= 2.0 else f"{math.ceil(24.0 * days)} h"
+            return status("expired", record, f"expired {age} ago")
         return status("valid", record, "")
 
     def statuses(

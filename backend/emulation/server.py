@@ -118,6 +118,17 @@ class DeviceServer(ABC):
         self.sent += len(data)
         self.log.append(Exchange(self._clock.now_s(), False, data))
 
+    def _send_datagram(
+        self, wire: socket.socket, out: bytes, client: tuple[str, int] | None
+    ) -> None:
+        out = self.damage(out)
+        if client is None or not out:
+            return
+        # A closed client causes an error here; a full buffer loses the datagram.
+        with contextlib.suppress(ConnectionError, BlockingIOError):
+            wire.sendto(out, client)
+            self._log_sent(out)
+
 
 class StreamServer(DeviceServer):
     """Server of a byte stream; polls its device every ``tick_s``."""
@@ -333,7 +344,7 @@ class UdpServer(DeviceServer):
                     answers = self._take()
                 now_s = self._clock.now_s()
                 for out in self.faults.outgoing(now_s, [*answers, *self._device.due(now_s)]):
-                    self._send(self.damage(out))
+                    self._send_datagram(self._socket, out, self._client)
 
     def _take(self) -> list[bytes]:
         """Process waiting datagrams; return the answers."""
@@ -348,11 +359,3 @@ class UdpServer(DeviceServer):
                 self.clients += 1
             answers.extend(self._device.receive(self._log_received(data), data))
         return answers
-
-    def _send(self, out: bytes) -> None:
-        if self._client is None or not out:
-            return
-        # A closed client causes an error here; a full buffer loses the datagram.
-        with contextlib.suppress(ConnectionError, BlockingIOError):
-            self._socket.sendto(out, self._client)
-            self._log_sent(out)

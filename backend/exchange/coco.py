@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend import episodes
-from touchdown.backend.annotations import Dataset, Label, Pair, content_hash
+from touchdown.backend.annotations import Dataset, Label, Pair, content_hash, patch_iou
 from touchdown.backend.core import (
     FINGERS,
     MARKERS,
@@ -301,5 +301,4 @@ def _iou(segmentation: Any, points_px: FloatArray, touching: NDArray[np.bool_]) 
     around = np.stack([mask[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)])
     near = (around != around[4]).any(axis=0)
     drawn = np.where(near, touching, around[4] == 1)
-    union = int((drawn | touching).sum())
-    return int((drawn & touching).sum()) / union if union else 1.0
+    return patch_iou(drawn, touching)

@@ -42,12 +42,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import PIECES, job_code
-from touchdown.backend.experiments.trials import (
-    FRESH,
-    BatchTrialResult,
-    SceneSetup,
-    stack_in_lockstep,
-)
+from touchdown.backend.experiments.trials import FRESH, SceneSetup, stack_in_lockstep
 from touchdown.backend.geometry import (
     FRESH_CLASSES,
     Piece,
@@ -223,12 +218,9 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     model = uninformed_model(SceneSetup(piece, (), bench))
     results = stack_in_lockstep(scenes, model, method, EpisodeLimits())
     # A release over a bottom that a press toppled is unsafe, whatever became of the piece.
-    trials = [{**end.as_json(), "released": _was_released(end)} for end in results]
+    ends = [(end, bool(end.steps) and end.steps[-1].action.kind == "release") for end in results]
+    trials = [{**end.as_json(), "released": released} for end, released in ends]
     return {"bench_sha256": bench_sha256(bench), "trials": trials}
-
-
-def _was_released(end: BatchTrialResult) -> bool:
-    return bool(end.steps) and end.steps[-1].action.kind == "release"
 
 
 LABORATORY_LIMIT = 0.05  # default bound of a certificate of a laboratory's own trials

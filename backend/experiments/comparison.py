@@ -219,19 +219,13 @@ class StrategyComparison:
         found["changes"] = paired_changes(trials)
         found["of_ceiling"] = placed_of_ceiling(trials)
         if self.band:
-            found["band"] = [
-                _band_row(factors, loops, store) for factors, loops in self.band_loops()
-            ]
+            kept = ("bench_sha256", "sources", "pooled")
+            tables = [(factors, loops.table(store)) for factors, loops in self.band_loops()]
+            found["band"] = [{"factors": f, **{k: t[k] for k in kept}} for f, t in tables]
         if quantity is not None:
             decided = decided_strategies(trials, quantity)
             found["stopped"] = {"quantity": quantity, "round": ROUND_TRIALS, "decided": decided}
         return found
-
-
-def _band_row(factors: Mapping[str, float], loops: ClosedLoopComparison, store: JobStore) -> Json:
-    """Return factors, hash and pooled counts of one bench of the band."""
-    table = loops.table(store)
-    return {"factors": factors, **{k: table[k] for k in ("bench_sha256", "sources", "pooled")}}
 
 
 def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
@@ -331,17 +325,13 @@ def _band_table(answer: Mapping[str, Any]) -> ReportTable:
     return ReportTable.of_texts(title, ("strategy", "benches", "trials", *head), rows)
 
 
-def _traced(cell: Json, text: str) -> TableEntry:
-    return TableEntry(text, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed"))
-
-
 def _closed_loop_row(cell: Json) -> tuple[str | TableEntry, ...]:
     outcomes = ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in cell["outcomes"].items())
-    left = cell.get("left_out", 0)
+    left, placed = cell.get("left_out", 0), format_estimate(cell["placed"])
     return (
         _name(cell),
         str(cell["placed"]["n"]),
-        _traced(cell, format_estimate(cell["placed"])),
+        TableEntry(placed, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed")),
         format_estimate(cell["unsafe"]),
         format_estimate(released_unsafely(cell["outcomes"]).as_json()),
         outcomes + (f"; {left} left out" if left else ""),

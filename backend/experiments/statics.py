@@ -228,7 +228,8 @@ def score_patches(
         iou = np.where(either == 0, 1.0, both / np.maximum(either, 1)).mean(axis=1)
         right = (predicted == patch).mean(axis=(1, 2))
         for what, values in (("iou", iou), ("accuracy", right)):
-            scores[what + name] = _plain(np.bincount(mounting, values) / np.bincount(mounting))
+            means = np.bincount(mounting, values) / np.bincount(mounting)
+            scores[what + name] = [round(mean, DIGITS) for mean in means.tolist()]
     return scores
 
 
@@ -293,7 +294,3 @@ def overlap_share(predicted: NDArray[np.bool_], real: NDArray[np.bool_]) -> floa
     """Return the intersection over union, 1 if both are empty."""
     either = int((predicted | real).sum())
     return round(float((predicted & real).sum() / either), DIGITS) if either else 1.0
-
-
-def _plain(values: FloatArray) -> list[float]:
-    return [round(float(v), DIGITS) for v in values]

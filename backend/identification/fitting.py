@@ -117,7 +117,9 @@ class GlsFit:
         self._whitening = self._press_whitening(begin)
 
         def left(v: FloatArray) -> FloatArray:
-            return np.concatenate([self._whitened(self._left(v)).ravel(), (v - centre) / prior])
+            self.tell()
+            error = np.nan_to_num(self.measured - self.model.predict(layout.values(v)), nan=0.0)
+            return np.concatenate([self._whitened(error).ravel(), (v - centre) / prior])
 
         def slopes(v: FloatArray) -> FloatArray:
             return np.concatenate([self._jacobian(v), np.diag(1.0 / prior)])
@@ -136,11 +138,6 @@ class GlsFit:
         return FitResult(
             found.x, inverse * max(misfit, 1.0), sigma, float(found.cost), misfit, moved
         )
-
-    def _left(self, x: FloatArray) -> FloatArray:
-        self.tell()
-        left = self.measured - self.model.predict(self.layout.values(x))
-        return np.nan_to_num(left, nan=0.0)
 
     def _whitened(self, left: FloatArray) -> FloatArray:
         return np.asarray(self._whitening @ left.reshape(len(left), -1, 1))[..., 0]

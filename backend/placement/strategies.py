@@ -302,7 +302,8 @@ class FusedStrategy:
         settings, here = self._settings, touched.offset_mm
         self._belief = self._belief.updated(touched.patch, here)
         self._record(touched)
-        com, centre = self._held.com_xy_mm, self._com_at(here)
+        com = self._held.com_xy_mm
+        centre = (here[0] + com[0], here[1] + com[1])
         self._points_mm = touched.patch.points_mm
         known = self._last = self._state()
         if known is None:
@@ -395,10 +396,6 @@ class FusedStrategy:
             return shift
         self._further = shift
         return ask_whether(shift, situation, self._probes())
-
-    def _com_at(self, offset_mm: XY) -> XY:
-        com = self._held.com_xy_mm
-        return offset_mm[0] + com[0], offset_mm[1] + com[1]
 
     def _probes(self) -> int:
         return len(self._belief.visits) + len(self._missed_mm)

@@ -16,16 +16,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.core import (
-    FINGERS,
-    Fault,
-    Finger,
-    FloatArray,
-    Pose,
-    SampleStream,
-    Stream,
-    TactileFrame,
-)
+from touchdown.backend.core import FINGERS, Fault, FloatArray, Pose, RawStreams, SampleStream
 from touchdown.backend.devices import (
     STILL,
     TURN_RAD_S,
@@ -342,12 +333,8 @@ class BenchDevices:
         Tables of the lab file.
     now_s
         Bench clock, s; it must follow the computer's monotonic clock.
-    frames
-        Stream of pictures of each finger, to fill.
-    samples
-        Stream of untared wrist samples to fill: Fx Fy Fz Tx Ty Tz, N and N·m, tool axes.
-    poses
-        Stream of measured positions of ``G`` to fill: x y z, mm in the bench frame.
+    raw
+        Streams to fill: pictures, untared wrist samples in tool axes, positions of ``G``, bench mm.
     interlock
         Permits motion: the rig gets its lease, latch and limits.
 
@@ -362,18 +349,16 @@ class BenchDevices:
         self,
         settings: HardwareSettings,
         now_s: Callable[[], float],
-        frames: Mapping[Finger, Stream[TactileFrame]],
-        samples: SampleStream,
-        poses: SampleStream,
+        raw: RawStreams,
         interlock: Interlock,
     ) -> None:
         make_devices(settings, now_s)  # reports missing settings now, not in the rig
-        self.link = RigLink(settings, now_s, samples, poses, interlock)
+        self.link = RigLink(settings, now_s, raw.samples, raw.poses, interlock)
         open_ones: set[str] = set()
         self.force_torque = RigForceTorque("force_torque", self.link, now_s, open_ones)
         self.gripper = RigGripper("gripper", self.link, now_s, open_ones)
         self.tactile = {
-            finger: make_tactile(finger, settings, now_s, frames[finger]) for finger in FINGERS
+            finger: make_tactile(finger, settings, now_s, raw.frames[finger]) for finger in FINGERS
         }
         self.arm = RigArm("arm", self.link, now_s, open_ones)
         if settings.melfa.stiffness_mode == "controller":

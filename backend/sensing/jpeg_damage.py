@@ -88,9 +88,8 @@ class DamageCheckingTracker:
         if frame.image.shape != (HEIGHT_PX, WIDTH_PX, 3):
             return field
         blocks = cv2.resize(frame.image, _BLOCKS, interpolation=cv2.INTER_AREA).astype(np.float32)
-        new = _TrackedFrame(
-            frame.image, blocks, field.position_px, _seen(field), self.tracker.looks
-        )
+        seen = np.asarray(field.state == MarkerState.SEEN)
+        new = _TrackedFrame(frame.image, blocks, field.position_px, seen, self.tracker.looks)
         if not self._doubted and self._last is not None and self._impossible(self._last, new):
             self.tracker.recall(before)
             self.refused += 1
@@ -171,10 +170,6 @@ def unexplained_levels(last: _TrackedFrame, new: _TrackedFrame, marker: int) -> 
 def _patch(seen: _TrackedFrame, marker: int) -> NDArray[np.float32]:
     u, v = seen.position_px[marker].tolist()
     return np.asarray(cv2.getRectSubPix(seen.image, _PATCH, (u, v)), dtype=np.float32)
-
-
-def _seen(field: MarkerField) -> NDArray[np.bool_]:
-    return np.asarray(field.state == MarkerState.SEEN)
 
 
 def _neighbour_residual() -> FloatArray:

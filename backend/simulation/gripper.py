@@ -235,16 +235,14 @@ class HeldPiece:
         true = conditions.true_offset_mm(command_mm[None, :2], self.conditions)[0]
         now, first = self.bottoms.bodies[-1].at_mm, self._scene.bottoms.bodies[-1].at_mm
         x, y = now[0] - first[0], now[1] - first[1]
-        return float(true[0] + self._slip_x_mm() - x), float(true[1] - y)
+        slip_x_mm = 0.0 if self._state is None else float(self._state.slip[0, :, 0].mean())
+        return float(true[0] + slip_x_mm - x), float(true[1] - y)
 
     def gap_mm(self, command_mm: FloatArray) -> float:
         """Return the height of the face above first touch, 0 while pressing."""
         if self.press_n > 0.0:
             return 0.0
         return max(float(command_mm[2]) - self.touch_height_mm, 0.0)
-
-    def _slip_x_mm(self) -> float:
-        return 0.0 if self._state is None else float(self._state.slip[0, :, 0].mean())
 
     def _contact(self, command_mm: FloatArray) -> mechanics.ContactState:
         """Return the contact state at this position; a new one after a move in air."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from PySide6.QtCore import (
     QAbstractListModel,
     QMargins,
@@ -65,6 +67,17 @@ class RowPainter(QStyledItemDelegate):
             painter.fillRect(QRectF(option.rect), tokens.colour("selection"))
             return tokens.colour("selection_text"), tokens.colour("selection_text")
         return tokens.colour("text"), tokens.colour("muted")
+
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
+        """Draw the row of ``index``, if there is one."""
+        row = index.data(Qt.ItemDataRole.UserRole)
+        if row is not None:
+            painter.save()
+            self.draw(painter, option, row)
+            painter.restore()
+
+    def draw(self, painter: QPainter, option: QStyleOptionViewItem, row: Any) -> None:
+        """Draw one row; subclasses override this."""
 
 
 class RowList(QListView):

@@ -171,20 +171,13 @@ class _RecordingPainter(base.RowPainter):
         line = QFontMetrics(base.ui_font(self.theme.scale)).height()
         return QSize(160, 2 * line + 2 * PAD_Y)
 
-    def paint(
-        self, painter: QPainter, option: QStyleOptionViewItem, index: base.ModelIndex
-    ) -> None:
-        row = index.data(Qt.ItemDataRole.UserRole)
-        if not isinstance(row, RecordingRow):
-            return
-        painter.save()
+    def draw(self, painter: QPainter, option: QStyleOptionViewItem, row: RecordingRow) -> None:
         text, _ = self.colours(painter, option)
         painter.setFont(base.ui_font(self.theme.scale))
         inner = QRectF(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
         for at, words in enumerate((row.title, row.detail)):
             line = inner.adjusted(0, at * painter.fontMetrics().height(), 0, 0)
             base.draw_elided_line(painter, line, words, text)
-        painter.restore()
 
 
 # fill and text colour of the chip of each label state
@@ -273,13 +266,7 @@ class _LabelPainter(base.RowPainter):
         line = QFontMetrics(base.ui_font(self.theme.scale)).height()
         return QSize(160, round(2.3 * line) + 8)
 
-    def paint(
-        self, painter: QPainter, option: QStyleOptionViewItem, index: base.ModelIndex
-    ) -> None:
-        row = index.data(Qt.ItemDataRole.UserRole)
-        if not isinstance(row, LabelListRow):
-            return
-        painter.save()
+    def draw(self, painter: QPainter, option: QStyleOptionViewItem, row: LabelListRow) -> None:
         text, muted = self.colours(painter, option)
         line = painter.fontMetrics().height()
         inner = QRectF(option.rect).adjusted(8, 4, -8, -4)
@@ -290,7 +277,6 @@ class _LabelPainter(base.RowPainter):
         second = inner.adjusted(0, 1.15 * line, 0, 0)
         words = " \N{MIDDLE DOT} ".join((*row.badges, row.detail))
         base.draw_elided_line(painter, second, words, muted)
-        painter.restore()
 
     def _chip(self, painter: QPainter, inner: QRectF, state: str, line: float) -> float:
         (fill, text), state = STATE_COLOURS[state], base.tr(state)

@@ -6,7 +6,6 @@ Faults of the wire act on the stream; ``silent`` and ``unplug`` act on the comma
 
 from __future__ import annotations
 
-import contextlib
 import selectors
 import socket
 from collections.abc import Callable
@@ -160,7 +159,7 @@ class MelfaServer(DeviceServer):
                 now_s = self._clock.now_s()
                 self._apply_faults(now_s)
                 for out in self.faults.outgoing(now_s, answers):
-                    self._send(stream, out)
+                    self._send_datagram(stream, out, self._caller)
                 self._serve_due(now_s)
         for client, session in self._sessions.items():
             session.closed(self._clock.now_s())
@@ -192,14 +191,6 @@ class MelfaServer(DeviceServer):
             answers.append(answer)
         elif self._device.controller.program != STREAM:
             self._caller, self._commands = None, False
-
-    def _send(self, stream: socket.socket, out: bytes) -> None:
-        out = self.damage(out)
-        if self._caller is None or not out:
-            return
-        with contextlib.suppress(ConnectionError, BlockingIOError):
-            stream.sendto(out, self._caller)
-            self._log_sent(out)
 
     # -- commands ---------------------------------------------------------------------------------
 

@@ -235,7 +235,9 @@ def read_axes(answer: str) -> AxisReading:
     if limits is None:
         raise ProtocolError("limits", "r3 position")
     plus, minus = int(limits[1], 16), int(limits[2], 16)
-    return AxisReading(names, values, _flags(tail[0]), whole(tail[1]), number(tail[2]), plus, minus)
+    first, _, second = tail[0].partition(",")
+    flags = None if tail[0] == _NO_FLAGS else (whole(first), whole(second))
+    return AxisReading(names, values, flags, whole(tail[1]), number(tail[2]), plus, minus)
 
 
 def number(text: str) -> float:
@@ -250,13 +252,6 @@ def whole(text: str) -> int:
     if re.fullmatch(r"[0-9]{1,10}", text) is None:
         raise ProtocolError("number", "r3 answer")
     return int(text)
-
-
-def _flags(text: str) -> tuple[int, int] | None:
-    if text == _NO_FLAGS:
-        return None
-    first, _, second = text.partition(",")
-    return whole(first), whole(second)
 
 
 EMERGENCY_ERRORS = frozenset({50, 51, 61, 70, 71})
@@ -337,7 +332,9 @@ def read_error(answer: str) -> tuple[int, int]:
     """Return number and level (1 high, 2 low, 3 caution) of the active error; (0, 0) if none."""
     if not answer:
         return 0, 0
-    error, level = _pair(answer, ";")
+    error, mark, level = answer.partition(";")
+    if not mark:
+        raise ProtocolError("fields", "r3 answer", len(answer))
     return whole(error), whole(level)
 
 
@@ -352,13 +349,6 @@ def _parts(answer: str, least: int, where: str) -> list[str]:
     if len(parts) < least:
         raise ProtocolError("fields", where, len(answer))
     return parts
-
-
-def _pair(text: str, mark: str) -> tuple[str, str]:
-    first, found, second = text.partition(mark)
-    if not found:
-        raise ProtocolError("fields", "r3 answer", len(text))
-    return first, second
 
 
 def _status(text: str) -> tuple[RunFlags, StopFlags, int]:

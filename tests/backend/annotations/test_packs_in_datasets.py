@@ -19,6 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
 from tests.backend.annotations.conftest import add, context_for, flip_byte, small_episode
@@ -264,7 +265,8 @@ def test_all_names_of_a_dataset_are_told_apart_and_allowed_on_fat(tmp_path):
 
 def test_a_dataset_on_fat_says_what_a_power_cut_may_do(tmp_path, monkeypatch):
     mounts = [("/", "ext4"), (str(tmp_path), "vfat")]
-    monkeypatch.setattr(storage, "_mounts", lambda: mounts)
+    parts = [SimpleNamespace(mountpoint=at, fstype=kind) for at, kind in mounts]
+    monkeypatch.setattr(psutil, "disk_partitions", lambda *, all: parts)
     with Dataset.open(tmp_path / "data") as dataset:
         (said,) = dataset.notices
     assert said.startswith("The dataset lies on a vfat disk, which a power cut can damage")

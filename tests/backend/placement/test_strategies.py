@@ -169,9 +169,9 @@ def concluded(
 
 def inset_and_centre(strategy: FusedStrategy, at: XY) -> tuple[InsetDistribution, XY]:
     """Return the inset of the centre of mass with the face there, and its place."""
-    inset = strategy.inset_at(at)
+    inset, com = strategy.inset_at(at), strategy._held.com_xy_mm
     assert inset is not None
-    return inset, strategy._com_at(at)
+    return inset, (at[0] + com[0], at[1] + com[1])
 
 
 def stable_at(strategy: FusedStrategy, at: XY) -> bool:

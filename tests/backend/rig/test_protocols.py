@@ -17,7 +17,7 @@ from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.served import Backend, Served
 from tests.bench.children.logged_arm import ahead_of
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core import FINGERS, FaultError, InputError, Pose, SampleStream, Stream
+from touchdown.backend.core import FaultError, InputError, Pose, RawStreams
 from touchdown.backend.devices import DeviceState, Interlock
 from touchdown.backend.devices.dynpick.emulator import EmulatedDynpick
 from touchdown.backend.devices.melfa.realtime_protocol import CYCLE_S
@@ -157,10 +157,8 @@ def test_what_the_rig_refuses_at_its_start_is_said_in_words(served):
 
 
 def wired(**tables):
-    frames = {finger: Stream(finger, 8) for finger in FINGERS}
-    samples, poses = SampleStream("force_torque", 6, 4096), SampleStream("arm", 3, 64)
-    settings = HardwareSettings.model_validate(tables)
-    return BenchDevices(settings, time.monotonic, frames, samples, poses, Interlock()), samples
+    raw, settings = RawStreams.new(), HardwareSettings.model_validate(tables)
+    return BenchDevices(settings, time.monotonic, raw, Interlock()), raw.samples
 
 
 def test_sensors_come_first_and_the_arm_that_moves_on_them_last():

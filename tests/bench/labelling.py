@@ -32,7 +32,7 @@ from touchdown.app.label.text import evidence_badges
 from touchdown.app.shell.datasets import ModelPrelabeller, model_path_in_use
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.shell.label_items import LabelDraft, item_reader
-from touchdown.app.start import THREAD_SWITCH_S
+from touchdown.app.start import tune_interpreter
 from touchdown.backend.annotations import Dataset, EpisodeContext, Label, SetState
 from touchdown.backend.annotations.queues import SCORES
 from touchdown.backend.bench.assembly import shipped_model
@@ -72,7 +72,7 @@ def fill(folder: Path, episodes: int, filmed: int) -> None:
 
 def _opened(folder: Path) -> tuple[Any, Any, Any]:
     """Return application, window and label workspace, with Ann at the label page."""
-    sys.setswitchinterval(THREAD_SWITCH_S)
+    tune_interpreter()
     application = QApplication.instance() or QApplication([])
     assert isinstance(application, QApplication)
     window = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")

@@ -32,7 +32,7 @@ from tests.bench.children.failing_window import LIMIT_S, Watched, say
 from tests.bench.children.lab_window import LabWindow
 from touchdown.app.shell import exit_after_timeout, log_to
 from touchdown.app.stack.workspace import StackWorkspace
-from touchdown.app.start import THREAD_SWITCH_S, freeze_garbage
+from touchdown.app.start import THREAD_SWITCH_S, freeze_garbage, tune_interpreter
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.core import Fault, FaultRaised, ImageArray
 from touchdown.backend.devices.cameras.sources import PictureSource
@@ -486,7 +486,7 @@ SCENARIOS: dict[str, tuple[Callable[..., Watched], Callable[[Any], dict[str, obj
 
 
 def main(scenario: str, *lab: str) -> int:
-    sys.setswitchinterval(THREAD_SWITCH_S)
+    tune_interpreter()
     make, measure = SCENARIOS[scenario]
     with tempfile.TemporaryDirectory() as name:
         os.environ.setdefault("TOUCHDOWN_DATA", name)

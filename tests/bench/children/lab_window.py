@@ -21,7 +21,7 @@ from PySide6.QtWidgets import QMessageBox, QWidget
 from tests.bench.children.failing_window import Watched, say
 from tests.busy_computer import STARVED
 from touchdown.app.operate.workspace import OperateWorkspace
-from touchdown.app.start import THREAD_SWITCH_S, open_bench
+from touchdown.app.start import open_bench, tune_interpreter
 from touchdown.backend.bench.session import Session
 from touchdown.backend.devices.jog import JogOrder
 
@@ -223,7 +223,7 @@ def jog(window: LabWindow, speed_mm_s: float, way: str) -> None:
 
 
 def main(lab: Path, note: Path) -> None:
-    sys.setswitchinterval(THREAD_SWITCH_S)
+    tune_interpreter()
     orders: list[str] = []
     over = threading.Event()
 

@@ -29,7 +29,7 @@ from touchdown.app.application import TouchdownApp
 from touchdown.app.shell import lift_hand
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.app.stack.workspace import StackWorkspace
-from touchdown.app.start import THREAD_SWITCH_S, open_simulated_bench
+from touchdown.app.start import open_simulated_bench, tune_interpreter
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.bench.session import STEP_US, Session
 from touchdown.backend.core import (
@@ -381,7 +381,6 @@ def _decisions(latencies_ms: list[float]) -> dict[str, float]:
 
 def load(application: QApplication, folder: Path) -> dict[str, float]:
     """Return frame times, processor time and decisions beside a live run of some seconds."""
-    sys.setswitchinterval(THREAD_SWITCH_S)
     main = _window(application, folder)
     main.start()
     main.window.resize(1600, 940)
@@ -488,6 +487,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as name:
         os.environ["TOUCHDOWN_DATA"] = os.environ["TOUCHDOWN_CONFIG"] = name
         modes = {"soak": soak, "start": start, "pages": pages, "rest": rest, "load": load}
+        tune_interpreter()
         measure = modes[sys.argv[1]]
         answer = measure(QApplication([]), Path(name))
     sys.stdout.write(json.dumps(answer) + "\n")

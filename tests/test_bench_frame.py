@@ -200,6 +200,12 @@ def test_success_that_comes_back_counts_what_was_lost():
     low, high = found["interval"]
     assert 0.1 < low < 0.5 < high < 0.9
     assert found["unsafe_of_released"] == pytest.approx(7 / 20)
+    assert laboratories.interval_by_laboratory([found]).tolist() == [100 * low, 100 * high]
+    half = {"outcomes": {"own": {"placed": 10}, "before": {"fell": 10}, "after": {"placed": 5}}}
+    whole = {"outcomes": half["outcomes"] | {"after": {"placed": 10}}}
+    # Draws of the same laboratory twice are a quarter of the draws each.
+    assert laboratories.interval_by_laboratory([half, whole]).tolist() == [50, 100]
+    assert laboratories.interval_by_laboratory([half, half]).tolist() == [50, 50]
 
 
 @pytest.mark.optional

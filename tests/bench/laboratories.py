@@ -343,6 +343,10 @@ def success_that_comes_back() -> list[Figure]:
             before, after = (end["placed"] - ends[0]["placed"] for end in ends[1:])
             note = ", ".join(f"{arm}: {dict(end)}" for arm, end in zip(
                 part[0]["outcomes"], ends, strict=True))  # fmt: skip
+            low, high = interval_by_laboratory(part)
+            note += f"; 95 %: {low:.1f} to {high:.1f} %" + (
+                ", by laboratory" if part is own else ""
+            )
             figures.append(at_least(
                 f"{name}: success of `fused` that comes back of what was lost",
                 100.0 * (1.0 - after / before), "%", limit, note))  # fmt: skip
@@ -371,6 +375,18 @@ def labels_saved() -> list[Figure]:
     if found["share"] is None:
         return [Figure(name, "not reached", "", "<= 85 %", ok=False, note=note)]
     return [at_most(name, 100 * found["share"], "%", 85.0, note)]
+
+
+def interval_by_laboratory(part: list[dict[str, Any]]) -> NDArray[np.float64]:
+    """Return the 95 % interval of the pooled share in percent; one place: that of its trials."""
+    if len(part) == 1:
+        return 100.0 * np.array(part[0]["interval"])
+    ends = [list(one["outcomes"].values()) for one in part]
+    placed = np.array([[end.get("placed", 0) for end in of] for of in ends], float)
+    rows = np.random.default_rng(0).integers(len(part), size=(2000, len(part)))
+    own, before, after = placed[rows].sum(axis=1).T
+    share: NDArray[np.float64] = 100.0 * (after - before) / (own - before)
+    return np.quantile(share, [0.025, 0.975])
 
 
 @figure("identification")

@@ -125,8 +125,9 @@ class SimulatedScoring:
         if truth.stands is not None and self.animate:
             truth = self.bench.truth(animate=True)
         return ReleaseVerdict(
-            bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall, truth.contradicted
-        )
+            bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall, truth.contradicted,
+            truth.kick_mm,
+        )  # fmt: skip
 
 
 def shipped_model(piece: str) -> Path:

@@ -511,7 +511,7 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
 ANSWER_S = 2.0
 LONGEST = 4096
 TRUTH, SEEN, AFTER, STRIKE = b"?\n", b"seen\n", b"after ", b"strike "
-TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over")
+TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over", "kick_mm")
 
 
 class TruthServer(EmulatedDevice):

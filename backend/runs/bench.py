@@ -143,6 +143,7 @@ class ReleaseVerdict:
     """Ground truth after the gripper opened.
 
     ``contradicted``: a second judge disagrees beyond its own error (None if there was none).
+    ``kick_mm``: distance by which the opening fingers shifted the centre of mass.
     """
 
     stands: bool
@@ -150,6 +151,7 @@ class ReleaseVerdict:
     margin_mm: float
     fall: core.Fall | None
     contradicted: bool | None = None
+    kick_mm: float = 0.0
 
 
 class GroundTruth(Protocol):

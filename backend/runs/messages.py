@@ -24,13 +24,15 @@ def decision_message(
     return f"Probe {probe}: {contact}. Estimate: {support}. {action.reason}"
 
 
-def release_message(stands: bool, margin_mm: float) -> str:
-    """Return the outcome of a release."""
+def release_message(stands: bool, margin_mm: float, kick_mm: float = 0.0) -> str:
+    """Return the outcome of a release, with a shift by the fingers that can be seen."""
     if not math.isfinite(margin_mm):
         return "The piece stands." if stands else "The piece fell: nothing supported it."
+    shifted = f" The opening fingers shifted it by {kick_mm:.1f} mm." if kick_mm >= 0.05 else ""
     if stands:
-        return f"The piece stands, {margin_mm:.1f} mm inside its support."
-    return f"The piece fell: its centre of mass was {-margin_mm:.1f} mm outside its support."
+        return f"The piece stands, {margin_mm:.1f} mm inside its support.{shifted}"
+    where = f"its centre of mass was {-margin_mm:.1f} mm outside its support"
+    return f"The piece fell: {where}.{shifted}"
 
 
 DECISION_WORDS = {

@@ -153,7 +153,7 @@ def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
     if verdict.knocked_over:
         return TrialResult(Outcome.KNOCKED_OVER, "The support was knocked over.", probe)
     outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
-    reason = messages.release_message(verdict.stands, verdict.margin_mm)
+    reason = messages.release_message(verdict.stands, verdict.margin_mm, verdict.kick_mm)
     if verdict.contradicted:
         reason = f"{reason} {messages.CONTRADICTED}"
     return TrialResult(outcome, reason, probe)

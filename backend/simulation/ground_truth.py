@@ -128,6 +128,7 @@ class SceneTruth:
     tower, as if released here; after the release the one that decided. ``stands``: None before the
     release. ``slip_mm``: largest slip of a pad in the present grip. ``contradicted``: True if
     MuJoCo disagrees with the exact analysis beyond its own error, None if it did not run.
+    ``kick_mm``: distance by which the opening fingers shifted the centre of mass.
     """
 
     offset_mm: tuple[float, float]
@@ -138,6 +139,7 @@ class SceneTruth:
     slip_mm: float
     knocked_over: bool
     contradicted: bool | None = None
+    kick_mm: float = 0.0
 
 
 def tower_with_piece(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Tower:

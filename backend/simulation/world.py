@@ -242,8 +242,9 @@ class World:
         stands = margin > 0.0 and not dropped and not self.knocked_over
         self._put_down = (offset, yaw)
         self._final = SceneTruth(
-            offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over
-        )
+            offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over,
+            kick_mm=math.hypot(*kick),
+        )  # fmt: skip
         self._holding = None
         # A trial ends with its release: the piece is not gripped again.
         self.jaws.piece_present = False

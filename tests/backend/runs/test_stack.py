@@ -145,3 +145,13 @@ def test_an_answer_counts_for_its_own_question_only():
     assert prompt.reply is None
     prompt.answer(True, prompt.number)
     assert prompt.withdraw() is True
+
+
+@pytest.mark.parametrize("preset", ["mixed", "realistic"])
+def test_a_shift_by_the_opening_fingers_is_told(preset):
+    bench = OracleSession(preset=preset)
+    bench.session.run(request())
+    (end,) = bench.of(TrialFinished)
+    (kick_mm,) = {one.truth().kick_mm for one in bench.benches}
+    shifted = f"The opening fingers shifted it by {kick_mm:.1f} mm."
+    assert (shifted in end.reason, kick_mm > 0.05) == ((preset == "realistic",) * 2)

@@ -143,8 +143,7 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
     from touchdown.backend.cli.connection import line_text, report_devices
     from touchdown.backend.runs import RecordingOptions
 
-    session = lab_session(LabChoice(file), keep=RecordingOptions(None))
-    try:
+    with lab_session(LabChoice(file), keep=RecordingOptions(None)) as session:
         connection = session.connection
         assert connection is not None
         connection.prove = partial(_prove, connection.prove, connection, payload_kg)
@@ -152,8 +151,6 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
         report_devices(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
         timings = [] if away else _sensor_timing(session)
-    finally:
-        session.close()
     if away:
         screen.say(f"Not connected: {', '.join(away)}.")
     if timings:

@@ -73,7 +73,7 @@ from touchdown.backend.geometry import (
     rectangle,
     square,
 )
-from touchdown.backend.jobs import SPEC_FILE, JobContext, JobFunctions, JobSpec, JobStore
+from touchdown.backend.jobs import SPEC_FILE, JobContext, JobSpec, JobStore
 from touchdown.backend.learning import (
     DeviceName,
     device_name,
@@ -797,11 +797,3 @@ def join_trained(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     joined = join_networks(members)
     card = save_checkpoint(place.folder / WEIGHTS, joined.arrays, joined.card)
     return {"weights_sha256": card.weights_sha256, **card.metrics}
-
-
-FUSED_KINDS: JobFunctions = {
-    "sequences": probe_sequences,
-    "fuse": train_fusion,
-    "fuse-join": join_trained,
-    "fused-trials": fused_trials,
-}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,7 @@ from touchdown.backend.config import (
 )
 from touchdown.backend.core import Event, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows
-from touchdown.backend.experiments.certification import run_certified_scenes
 from touchdown.backend.experiments.collection import batch_plan, run_job, split_jobs, total_redraws
-from touchdown.backend.experiments.fusion import FUSED_KINDS
 from touchdown.backend.experiments.models import WEIGHTS, batch_model, load_model
 from touchdown.backend.experiments.run_report import FILM_FILE, belief_film
 from touchdown.backend.experiments.statics import (
@@ -35,8 +34,7 @@ from touchdown.backend.experiments.statics import (
     score_fused_verdicts,
     score_patches,
 )
-from touchdown.backend.experiments.strategies import run_closed_loop
-from touchdown.backend.experiments.tables import OWN_MODEL, PAPER_PROTOCOL
+from touchdown.backend.experiments.tables import JOB_FUNCTIONS, OWN_MODEL, PAPER_PROTOCOL
 from touchdown.backend.experiments.trials import (
     WORLDS,
     SceneSetup,
@@ -215,14 +213,10 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     results: list[Event] = []
     # A fault ends a run, so each trial is a run of its own.
     for scene in _counted(SceneSetup.of_job(p, *p["bottoms"]), spec)[0]:
-        session = simulated_session(
-            SimulatedBenchChoice(given=_bench(p)), keep=RecordingOptions(None)
-        )
-        session.events.subscribe(results.append)
-        try:
+        choice, keep = SimulatedBenchChoice(given=_bench(p)), RecordingOptions(None)
+        with simulated_session(choice, keep=keep) as session:
+            session.events.subscribe(results.append)
             session.run(replace(request, seed=scene.seed, trials=1))
-        finally:
-            session.close()
     return {
         "bench_sha256": bench_sha256(_bench(p)),
         "trials": [
@@ -238,12 +232,6 @@ def _bench(params: Mapping[str, Any]) -> SimulationSettings:
 
 
 KINDS: JobFunctions = {
-    **FUSED_KINDS,
-    "simulate": simulate_collection,
-    "train": train_model,
-    "static": evaluate_static,
-    "stack": run_stacking,
-    "devices": run_on_devices,
-    "beyond": run_closed_loop,
-    "certify": run_certified_scenes,
+    kind: getattr(import_module(f"{__package__}.{module}"), function)
+    for kind, (module, function) in JOB_FUNCTIONS.items()
 }

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,11 +158,8 @@ def training_candidates(data: Path, labels: LabelChoice) -> list[TrainingCandida
     """Return all usable episodes of a dataset or folder of packs; raises ``InputError``."""
     if not is_dataset(data):
         return list(_in_packs(data))
-    database = Database.open(data / CATALOGUE_FILE, write=False)
-    try:
+    with closing(Database.open(data / CATALOGUE_FILE, write=False)) as database:
         listed = labelled_episodes(database, labels)
-    finally:
-        database.close()
     return [
         TrainingCandidate(e.piece, e.bottom, e.grip_id, e.mounting_id, e.row.sha256) for e in listed
     ]

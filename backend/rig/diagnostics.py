@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,12 +57,10 @@ def _device_detail(device: Device) -> str:
     if isinstance(device, MelfaArm):
         who = device.examine()
         return f"{who.maker} {who.model}, {who.firmware}; not switched on"
-    try:
+    with closing(device):
         device.connect(LIMIT_S, threading.Event())
         threading.Event().wait(LISTEN_S)
         identity, health = device.identity, device.health
-    finally:
-        device.close()
     named = "" if identity is None else f"{identity.maker} {identity.model}, {identity.serial}; "
     return f"{named}{health.received / LISTEN_S:.0f} Hz"
 

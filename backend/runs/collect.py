@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 from touchdown.backend.annotations import (
@@ -97,11 +98,8 @@ def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
         0.0, session.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
         session.simulated, settings, activity="collect",
     )  # fmt: skip
-    recorder = EpisodeRecorder(dataset)
-    try:
+    with closing(EpisodeRecorder(dataset)) as recorder:
         yield from _mountings(session, request, campaign, entries, recorder)
-    finally:
-        recorder.close()
 
 
 def prepare_campaign(

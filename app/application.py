@@ -18,7 +18,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunStarted
 from touchdown.widgets.base import EventPump, load_resources, tr
-from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar, TourStop
+from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar
 
 
 def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
@@ -91,9 +91,8 @@ class TouchdownApp(QObject):
         )
         self.dialogs.more = lambda: self.layouts.entries(self.window.front)
         self.toured, self.tour_due = settings.toured, False
-        self.tour = Tour(
-            self.theme, self.window, self.cards, self._stops, self.go, self._tour_ended
-        )
+        stops = partial(tour_stops, self.window, self.bar, self.workspaces)
+        self.tour = Tour(self.theme, self.window, self.cards, stops, self.go, self._tour_ended)
         self._wire_rail()
         warning = f"{warning} {shell.ignored_words(self.actions.refused)}".strip()
         self._warn(warning, self.layouts.load(tuple(self.workspaces)))
@@ -334,9 +333,6 @@ class TouchdownApp(QObject):
         self.calls.on = not self.calls.on
         self.say(tr("Sound and desktop notification: {}.", tr("on" if self.calls.on else "off")))
         self.remember()
-
-    def _stops(self) -> tuple[TourStop, ...]:
-        return tour_stops(self.window, self.bar, self.workspaces)
 
     def _tour_ended(self) -> None:
         self.toured = True

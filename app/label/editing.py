@@ -49,15 +49,12 @@ class EpisodeView(Protocol):
 
     def do(self, action: SaveAction) -> None:
         """Run an action after the saves in progress."""
-        ...
 
     def show_edit(self) -> None:
         """Show the edited label."""
-        ...
 
     def reload(self) -> None:
         """Show the stored label of the episode."""
-        ...
 
 
 class LabelEditing:

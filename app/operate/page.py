@@ -60,7 +60,8 @@ class OperatePage(LivePage):
             TRACES, self.force, self.moment, (self.span, self.zero, self.pause)
         )
         self._arrange()
-        self._wire()
+        self.span.currentIndexChanged.connect(lambda at: self.span_chosen.emit(SPANS_S[at]))
+        self.looks.currentIndexChanged.connect(self._choose_look)
 
     def fit_to_theme(self) -> None:
         """Set the widths of the controls for the size of the text."""
@@ -107,10 +108,6 @@ class OperatePage(LivePage):
         fingers = ((caption, 1) for caption in self.captions.values())
         panel.column.addLayout(hbox(*fingers, spacing=18))
         return panel
-
-    def _wire(self) -> None:
-        self.span.currentIndexChanged.connect(lambda at: self.span_chosen.emit(SPANS_S[at]))
-        self.looks.currentIndexChanged.connect(self._choose_look)
 
     def _choose_look(self, index: int) -> None:
         for view in self.tactile.values():

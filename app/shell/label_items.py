@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
@@ -202,12 +201,8 @@ class ModelLabel:
         return f"model:{self.weights}"
 
 
-class PrelabelFunction(Protocol):
-    """Returns the model's estimate of an episode, None without a model of its piece."""
-
-    def __call__(self, episode: Episode, pair: Pair) -> ModelLabel | None:
-        """Return the model's displacement."""
-        ...
+# Returns the model's estimate of an episode, None without a model of its piece.
+PrelabelFunction = Callable[[Episode, Pair], ModelLabel | None]
 
 
 @dataclass(frozen=True, slots=True)

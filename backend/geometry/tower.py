@@ -22,8 +22,6 @@ from touchdown.backend.geometry.surfaces import FLAT, PieceOnSurface, Surface
 
 TOO_CLOSE_MM = 0.2  # smaller margins are displayed but not scored
 
-FLOOR = "table"
-
 
 @dataclass(frozen=True, slots=True)
 class Body:
@@ -97,11 +95,10 @@ class Tower:
 class TowerVerdict:
     """Signed margin of each interface, lowest first.
 
-    ``inf`` under a fixed body, ``-inf`` if two faces do not overlap. ``interfaces``: their names.
+    ``inf`` under a fixed body, ``-inf`` if two faces do not overlap.
     """
 
     margins_mm: tuple[float, ...]
-    interfaces: tuple[str, ...]
 
     @property
     def margin_mm(self) -> float:
@@ -109,19 +106,9 @@ class TowerVerdict:
         return min(self.margins_mm)
 
     @property
-    def weakest(self) -> str:
-        """The interface with the smallest margin, such as "pot on short"."""
-        return self.interfaces[self.margins_mm.index(self.margin_mm)]
-
-    @property
     def stands(self) -> bool:
         """True if the stack stands."""
         return self.margin_mm > 0.0
-
-    @property
-    def too_close(self) -> bool:
-        """True if the margin is too small to be scored either way."""
-        return abs(self.margin_mm) < TOO_CLOSE_MM
 
 
 def judge_tower(
@@ -140,10 +127,7 @@ def judge_tower(
     resting_mm, shift_mm = _rest_on_surface(tower, centres[-1], mu, sign_only=sign_only)
     centres[-1] += shift_mm
     margins: list[float] = []
-    names: list[str] = []
     for k, body in enumerate(bodies):
-        below = bodies[k - 1].name if k else FLOOR
-        names.append(f"{body.name} on {below}")
         if body.fixed:
             margins.append(float("inf"))
             continue
@@ -152,7 +136,7 @@ def judge_tower(
             continue
         load = masses[k:] @ centres[k:] / masses[k:].sum()
         margins.append(float(outlines.signed_distances_mm(load, interface_overlap(tower, k))))
-    return TowerVerdict(tuple(margins), tuple(names))
+    return TowerVerdict(tuple(margins))
 
 
 def _rest_on_surface(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.core import FloatArray, SupportKind, read_only
-from touchdown.backend.geometry import Outline, rotated, true_patch
+from touchdown.backend.geometry import TOO_CLOSE_MM, Outline, rotated, true_patch
 
 ON_EDGE_MM = 1e-9  # rounding tolerance of an edge
 
@@ -94,9 +94,6 @@ def _half(chain: Sequence[Point]) -> list[Point]:
 
 def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-TOO_CLOSE_MM = 0.2  # nearer to the edge than this, stability cannot be decided
 
 
 def support_kind(hull: FloatArray) -> SupportKind:

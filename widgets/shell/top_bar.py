@@ -73,7 +73,7 @@ class ServoButton(QPushButton):
     def __init__(self) -> None:
         super().__init__("\N{EN DASH}")
         self.setProperty("role", "compact")
-        self.ordered: Callable[[bool], None] = _nothing
+        self.ordered: Callable[[bool], None] = lambda _on: None
         self._on: bool | None = None
         self._held = QTimer(self, singleShot=True, interval=HELD_MS)
         self._held.timeout.connect(self._switch_on)
@@ -102,9 +102,6 @@ class ServoButton(QPushButton):
     def _switch_on(self) -> None:
         if self.isDown() and self._on is False:
             self.ordered(True)
-
-
-def _nothing(_on: bool) -> None: ...
 
 
 MARGIN, GAP, CHIP_GAP = 8, 8, 4

@@ -366,7 +366,7 @@ def test_a_body_that_ends_tilted_has_fallen() -> None:
 
 def test_a_contradiction_counts_beyond_the_engine_error() -> None:
     def verdict(*margins: float) -> TowerVerdict:
-        return TowerVerdict(margins, tuple("abc"[: len(margins)]))
+        return TowerVerdict(margins)
 
     assert contradicts_analysis(verdict(9.0, 0.21), True)
     assert contradicts_analysis(verdict(9.0, -0.21), False)
@@ -540,9 +540,7 @@ def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> Tr
         ground_truth, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1])
     )
     monkeypatch.setattr(ground_truth, "true_margin_mm", lambda *_: margin_mm)
-    monkeypatch.setattr(
-        ground_truth, "judge_tower", lambda *_, **__: TowerVerdict((margin_mm,), ("pot",))
-    )
+    monkeypatch.setattr(ground_truth, "judge_tower", lambda *_, **__: TowerVerdict((margin_mm,)))
     session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Event] = []
     session.events.subscribe(ends.append)

@@ -19,7 +19,13 @@ from touchdown.backend.geometry import regions
 from touchdown.backend.geometry.outlines import circle, face_points, rectangle, signed_distances_mm
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.sampling import draw_offset, draw_start, draw_tower, start_generator
-from touchdown.backend.geometry.tower import Body, Tower, interface_overlap, judge_tower
+from touchdown.backend.geometry.tower import (
+    TOO_CLOSE_MM,
+    Body,
+    Tower,
+    interface_overlap,
+    judge_tower,
+)
 from touchdown.backend.placement.equilibrium import centre_of_pressure_mm
 from touchdown.backend.simulation import batch as lockstep
 from touchdown.backend.simulation import conditions as nuisance
@@ -273,9 +279,7 @@ def test_the_weights_of_a_tower_agree_with_the_judge() -> None:
     catalogue = load_pieces()
     short, long = catalogue.bottom("short"), catalogue.bottom("long")
     towers = [Tower((short.body(), long.body(tuple(rng.uniform(-12, 12, 2))))) for _ in range(60)]
-    towers = [
-        t for t in towers if np.isfinite(judge_tower(t).margin_mm) and not judge_tower(t).too_close
-    ]
+    towers = [t for t in towers if TOO_CLOSE_MM <= abs(judge_tower(t).margin_mm) < np.inf]
     stands = join_support_stacks([support_stack(t, BOTH) for t in towers])
     falls = topples(stands, SupportMotion.upright(len(towers), 2))
     np.testing.assert_array_equal(falls, [not judge_tower(t).stands for t in towers])

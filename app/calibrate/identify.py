@@ -20,10 +20,11 @@ from touchdown.widgets.base import Theme, hbox, label, set_property, tr
 from touchdown.widgets.lists import FigureTable
 
 PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
-COLUMNS = ("parameter", "value", "standard uncertainty", "in the bench file")
+COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
-    "Fits the simulated bench to presses recorded with touchdown collect and the plans rest, gel "
-    "and contact. Nothing moves. Finished stages are kept after a cancel."
+    "Finds the values with which the simulated bench predicts recorded presses best. Record them "
+    "with touchdown collect, plans rest, gel and contact. Nothing moves. Write bench file writes a "
+    "file; the bench in use does not change until Touchdown is opened with that file."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000
@@ -62,8 +63,9 @@ class IdentifySheet(BenchSheet):
         row = hbox(label("Dataset"), (self.dataset, 1), self.choose)
         texts = (self.verdict, self.note, (self.table, 1))
         foot = (self.begin, self.cancel, self.accept_it, self.report)
-        self.arrange(label(ABOUT, "muted", wrap=True), row, self.progress, *texts, foot=foot,
-                     spacing=10)  # fmt: skip
+        about = label("Identify the bench", "head"), label(ABOUT, "muted", wrap=True)
+        self.arrange(*about, row, self.progress, *texts, foot=foot, spacing=10)
+        self.note.hide()
         self.resize_to_em(44, 34)
         self._show_buttons(can_accept=False)
 
@@ -77,6 +79,7 @@ class IdentifySheet(BenchSheet):
         """Show a line of progress; keep an error for the end."""
         if found := PROGRESS.fullmatch(line):
             stage, done, total, left = found.groups()
+            self.progress.show()
             self.progress.setRange(0, int(total.replace(",", "")))
             self.progress.setValue(int(done.replace(",", "")))
             self.progress.setFormat(f"{stage}: %p %{left}")
@@ -99,7 +102,7 @@ class IdentifySheet(BenchSheet):
         ])  # fmt: skip
         self._page = found.get("report", "")
         self.report.setEnabled(bool(found))
-        self.note.setText("")
+        self.note.hide()
         self._show_buttons(can_accept=bool(found.get("accepted")))
 
     def _start(self) -> None:
@@ -112,6 +115,7 @@ class IdentifySheet(BenchSheet):
         self._show_buttons(can_accept=False)
 
     def _accept(self) -> None:
+        self.note.show()
         kept = data_folder() / "benches" / f"{datetime.now():%Y%m%d-%H%M%S}.toml"
         try:
             write_atomically(kept, self._draft.read_bytes())
@@ -135,6 +139,7 @@ class IdentifySheet(BenchSheet):
     def _show_buttons(self, *, can_accept: bool) -> None:
         running = self._is_running()
         self.cancel.setEnabled(running)
+        self.progress.setVisible(running)
         for widget in (self.dataset, self.choose, self.begin):
             widget.setEnabled(not running)
         self.accept_it.setEnabled(can_accept)

@@ -119,7 +119,7 @@ def _text(editor: QComboBox | QLineEdit) -> str:
 
 SOURCE = (
     "Change what differs on your bench, then Save: it is written to {}; other entries stay. "
-    "Start the window again with this file to use it."
+    "To use it, start again with this file: touchdown app --bench FILE."
 )
 LEFT, RIGHT = "gelsight.left.serial", "gelsight.right.serial"
 ANY = "any"
@@ -178,14 +178,17 @@ class DevicesPresenter:
         self._found = found = choices(self._settings)
         self.sheet.offer(found)
         cameras, ports = ", ".join(found[LEFT]), len(found["ft.address"])
+        nothing = self._bench.description.mode == "hardware" and not cameras and not ports
         if self._bench.description.mode != "hardware":
             said = tr("The devices of this bench are emulated: there is nothing to search for.")
-        elif not cameras and not ports:
-            said = tr("No camera or serial port was found here. Plug it in, then press Look again.")
+        elif nothing:
+            said = tr("No camera or port was found on USB here. Plug it in, then press Look again.")
         else:
             both = cameras or tr("none"), ports or tr("none")
             said = tr("Plugged in: cameras {}; serial ports {}.", *both)
         self.sheet.say(said, bad=False)
+        set_property(self.sheet.look, "role", "primary" if nothing else "")
+        set_property(self.sheet.save, "role", "" if nothing else "primary")
 
     def _swap(self) -> None:
         if self.sheet is not None:
@@ -228,7 +231,7 @@ class DevicesPresenter:
         except OSError as error:
             sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
-            saved = "Saved. Start the window again with this file to use it."
+            saved = tr("Saved. To use it, start again: touchdown app --bench {}", self._path)
             sheet.say(saved if values else "Nothing is changed.", bad=False)
 
     def _held(self, key: str) -> object:

@@ -196,9 +196,9 @@ class LabelPage(QWidget):
         for button, name in zip(self.acts, ACTS.values(), strict=True):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.clicked.connect(partial(self.command_requested.emit, name))
-        self.verdict, self.message = base.ElidedLabel("head"), base.label("", wrap=True)
-        lines = (base.label("", "muted", wrap=True) for _ in range(3))
-        self.basis, self.model_line, self.scene_line = lines
+        self.basis, self.message = base.label("", "title", wrap=True), base.label("", wrap=True)
+        self.verdict = base.ElidedLabel("")
+        self.model_line, self.scene_line = (base.label("", "muted", wrap=True) for _ in range(2))
         self.entry = KeyboardLineEdit(
             "Displacement x,y in mm", "1.5,-2", self.displacement_typed.emit, self.leave_entry
         )
@@ -237,7 +237,7 @@ class LabelPage(QWidget):
         inner = self.view_panel.column
         inner.insertWidget(1, self.strip)
         inner.insertWidget(2, self.nothing, 1)
-        evidence = self.verdict, self.basis, self.scene_line, self.model_line
+        evidence = self.basis, self.verdict, self.scene_line, self.model_line
         base.add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
         inner.addLayout(base.hbox(*((button, 1) for button in self.acts), spacing=4))
         film = self.film_panel = base.Panel("Pictures", self.film)

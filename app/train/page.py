@@ -42,7 +42,7 @@ class TrainPage(WorkspacePage):
         self.split.empty = "No episode that counts yet"
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
-        self.in_use = base.label("", "", wrap=True)
+        self.in_use, self.autonomy = (base.label("", "", wrap=True) for _ in range(2))
         self.promote = QPushButton(base.tr("Promote"))
         self.roll_back = QPushButton(base.tr("Roll back"))
         for button in (self.promote, self.roll_back):
@@ -73,7 +73,8 @@ class TrainPage(WorkspacePage):
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = base.Panel("Trainings", self.runs)
         buttons = base.hbox((self.promote, 1), (self.roll_back, 1))
-        base.add_items(self.runs_panel.column, base.rule(), self.in_use, buttons)
+        self.runs_panel.column.insertWidget(1, self.in_use)
+        base.add_items(self.runs_panel.column, self.autonomy, buttons)
         self.comparison = base.Panel("Comparison")
         # As high as its rows; the longer table below takes the rest.
         self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)

@@ -161,11 +161,8 @@ class TrainPresenter:
         page.form.show_pieces([(name, name) for name in overview.pieces], overview.piece)
         page.split.show_rows(words.split_rows(overview))
         page.split_panel.detail.setText(overview.piece)
-        why = looked.trouble or overview.error
-        page.runs.empty = why or "No training on these data yet: fill in the form, then start."
-        # Without a training the list gives the reason.
-        split = words.split_text(overview, looked.trouble)
-        page.leaks.setText("" if why and not self.runs else split)
+        page.runs.empty = "No training on these data yet"
+        page.leaks.setText("" if self._why_not() else words.split_text(overview))
         self.choose()
         if not page.runs.chosen() and self.runs:
             page.runs.choose([next(iter(self.runs))])
@@ -318,16 +315,13 @@ class TrainPresenter:
         """Enable the buttons that are allowed now."""
         page, run = self._page, self._chosen_alone()
         idle = self.thread is None
-        why = "" if idle else tr("A training goes on")
-        if idle and not self._can_start():
-            why = tr("There is nothing to train on yet")
         resumable = run is not None and run.can_resume
         page.form.show_buttons(
             TrainingButtons(
-                start=idle and not why,
+                start=idle and self._can_start(),
                 cancel=not idle and not self._cancelling,
                 resume=idle and resumable,
-                why_not=why,
+                why_not=self._why_not() if idle else "",
             )
         )
         use, card = self.in_use, None if run is None else run.card
@@ -336,11 +330,17 @@ class TrainPresenter:
         one = tr("Choose one training to promote it.") if run is None and self.runs else ""
         page.promote.setToolTip(one or tr("Put the chosen model in use for its piece (Ctrl+P)"))
         page.roll_back.setEnabled(use is not None and use.before is not None)
-        page.in_use.setText(f"{words.model_in_use_text(use)} {one}".strip())
+        page.in_use.setText(words.model_in_use_text(use))
+        alone = words.autonomy_text(use.probes if use else None)
+        page.autonomy.setText(f"{alone} {one}".strip())
+        for line in (page.in_use, page.autonomy):
+            line.setVisible(bool(line.text()))
 
     def _can_start(self) -> bool:
-        looked = self.looked
-        return looked is not None and not looked.trouble and not looked.overview.error
+        return self.looked is not None and not self._why_not()
+
+    def _why_not(self) -> str:
+        return (self.looked.trouble or self.looked.overview.error) if self.looked else ""
 
     def _chosen(self) -> list[TrainingRun]:
         return [self.runs[uuid] for uuid in self._page.runs.chosen() if uuid in self.runs]
@@ -386,7 +386,8 @@ class TrainPresenter:
         self._shown += 1
         number = self._shown
         if len(chosen) != 1 or chosen[0].card is None:
-            page.samples.show_scenes((), "Choose one finished training.")
+            why = tr("{} trainings are chosen: choose one to see its samples.", len(chosen))
+            page.samples.show_scenes((), why if chosen[1:] else "Choose a finished training.")
             return
 
         def show(scenes: list[SampleScene]) -> None:

@@ -113,7 +113,7 @@ class TrainingReader:
         return self._found
 
 
-REVIEW_HINT = "Accept labels in Label (Ctrl+2) and let somebody else approve them."
+REVIEW_HINT = "Accept labels in Label (Ctrl+2); somebody else approves them there."
 
 
 def _label_hint(form: TrainingForm) -> str:

@@ -67,13 +67,13 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
     """Return the model in use and the effect of a roll-back as text."""
     if in_use is None:
         return ""
-    alone = autonomy_text(in_use.probes)
-    said = tr("In use for {}: the shipped model.", in_use.piece)
+    iou = "" if in_use.card is None else tr(", IoU {:.0f} %", 100 * _test(in_use.card)[0])
+    said = tr("In use for {}: the shipped model{}.", in_use.piece, iou)
     if in_use.before is not None:
         since = f"{datetime.fromtimestamp(in_use.since_ns / 1e9):%d %b %H:%M}"
-        models = _model(in_use.weights_sha256), since, _model(in_use.before)
-        said = tr("In use for {}: {} since {}; before it {}.", in_use.piece, *models)
-    return f"{said} {alone}".strip()
+        models = f"{_model(in_use.weights_sha256)}{iou}", since, _model(in_use.before)
+        said = tr("In use for {}: {}, since {}; before it {}.", in_use.piece, *models)
+    return said
 
 
 def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
@@ -118,10 +118,8 @@ def autonomy_text(probes: int | None) -> str:
     return tr(asks, probes, HARDWARE_PROBES)
 
 
-def split_text(overview: TrainingSetOverview, trouble: str) -> str:
-    """Return errors of the data, or leaks of the split."""
-    if trouble or overview.error:
-        return trouble or overview.error
+def split_text(overview: TrainingSetOverview) -> str:
+    """Return leaks of the split."""
     kept = tr("{} are held out.", tr(group_noun(overview.kept_together)).capitalize())
     return "\n".join((*overview.warnings, kept))
 

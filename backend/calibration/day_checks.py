@@ -107,9 +107,10 @@ class DayCheck(Settings):
         return found
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return name, value and limits of each quantity as texts."""
-        rows = []
-        for name, (low, high) in self.limits.items():
+        """Return name, value and limits of each quantity as texts, those out of limits first."""
+        rows, findings = [], self.findings
+        for name in sorted(self.limits, key=lambda name: name not in findings):
+            low, high = self.limits[name]
             known, value = quantity(name), f"{self.values[name]:.3g}"
             rows.append((known.title, f"{value} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}"))
         return rows

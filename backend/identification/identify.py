@@ -86,8 +86,8 @@ class Identification:
         open_end = "" if self.converged else " The fit did not converge: its values are doubtful."
         return (
             f"{'Better' if gate.accepted else 'Refused, nothing was changed'}: on {gate.presses} "
-            f"presses of {gate.grips} held-out grippings the error above the noise is "
-            f"{100 * gate.share:.0f} % of that of the nominal bench; {gate.better} of the "
+            f"presses of {gate.grips} held-out grippings its predictions leave "
+            f"{100 * gate.share:.0f} % of the error of the nominal bench; {gate.better} of the "
             f"grippings are predicted better.{open_end}"
         )
 

@@ -264,8 +264,8 @@ def shift_towards(
     reason = f"{describe_situation(stability, required_mm)}"
     reason += f" ({aim.why})" if aim.why else ""
     x, y = (f"{mm:+z.1f}".replace("-", "\N{MINUS SIGN}") for mm in step)
-    far, most = (f" of {distance_mm:.1f}", ", the longest step") if clipped else ("", "")
-    reason += f": move {math.hypot(*step):.1f}{far} mm (x {x}, y {y}){most}."
+    far = f", the longest step; the target is {distance_mm:.1f} mm away" if clipped else ""
+    reason += f": move {math.hypot(*step):.1f} mm (x {x}, y {y}){far}."
     return PlaceAction("shift", step, aim.target_mm, clipped, reason)
 
 

@@ -316,7 +316,7 @@ def desk(qapp, qtbot, tmp_path, packs) -> Iterator[Desk]:
 def test_without_data_the_page_says_how_to_get_some(main, qtbot):
     main.go("train")
     page = main.workspaces["train"].page
-    qtbot.waitUntil(lambda: "Collect probes (Ctrl+2)" in page.runs.empty, timeout=60_000)
+    qtbot.waitUntil(lambda: "Collect probes (Ctrl+2)" in page.form.why_not.text(), timeout=60_000)
     assert not page.form.start.isEnabled()
     assert main.cards.codes == ()
 
@@ -329,11 +329,12 @@ def test_a_model_of_data_that_is_gone_is_rolled_back_by_its_key(qtbot, tmp_path)
         desk.press(KEY.Key_3, CTRL)
         desk.until(lambda: desk.page.roll_back.isEnabled())
         assert not desk.page.form.start.isEnabled(), "there is nothing to train on"
+        assert desk.page.form.why_not.text().startswith("There are no data here yet.")
         assert f"model {mine[:8]}" in desk.page.in_use.text()
         desk.press(KEY.Key_P, CTRL | SHIFT)
         desk.settle()
         assert registry.in_use("pot") is None
-        assert desk.page.in_use.text().startswith("In use for pot: the shipped model.")
+        assert desk.page.in_use.text().startswith("In use for pot: the shipped model, IoU ")
         assert not desk.page.roll_back.isEnabled()
         assert main.cards.codes == ()
 
@@ -383,7 +384,8 @@ def test_train_compare_promote_and_roll_back(desk):
     ]
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
-    assert "Choose one training to promote it." in page.in_use.text()
+    assert "Choose one training to promote it." in page.autonomy.text()
+    assert "choose one to see its samples" in page.samples._why
 
     registry = ModelRegistry(models_folder())
     for run in (both, wrench):

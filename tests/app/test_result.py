@@ -106,9 +106,11 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     assert sheet.isVisible()
     assert not sheet.accept_it.isEnabled()
     sheet.show_line("fit, round 1: 523 of 1,104 ... about 1.5 min left")
+    assert sheet.progress.isVisible()
     assert sheet.progress.value() == 523
     assert sheet.progress.text().startswith("fit, round 1: 47 % ... about 1.5 min left")
     sheet.show_end(2, "")
+    assert not sheet.progress.isVisible()
     assert sheet.verdict.text().startswith("Cancelled")
     sheet.show_line(json.dumps({"error": {"what": "3 presses.", "where": "x", "fix": "Record."}}))
     sheet.show_end(2, "")
@@ -252,7 +254,7 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
         "the table.\nThen press Measure to check again."
     )
-    assert sheet.table.texts()[1] == ["Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"]
+    assert sheet.table.texts()[0] == ["Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"]
     assert sheet.conditions[5].text().startswith("Out of limits on")
     assert not sheet.accept_it.isEnabled()
     assert {line.name: len(line.points) for line in sheet.plot.lines if line.points} == {

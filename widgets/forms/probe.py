@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QRectF, QSize, Qt
-from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent, QPen
+from PySide6.QtGui import QFontMetrics, QPainter, QPaintEvent
 from PySide6.QtWidgets import QGridLayout, QPushButton, QSizePolicy, QWidget
 
 from touchdown.widgets import base
@@ -16,7 +16,7 @@ PADDING = 3  # width added to a phase name, in letters
 
 
 class PhaseStrip(QWidget):
-    """Phases in a row: completed ones are filled and ticked, the present one is framed, bold."""
+    """Phases in a row with arrows: completed ones are ticked, the present one is bold."""
 
     def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class PhaseStrip(QWidget):
         return QSize(200, high + 12)
 
     def paintEvent(self, _event: QPaintEvent) -> None:
-        """Draw the phases as boxes."""
+        """Draw the phases as text."""
         painter, t = QPainter(self), self._theme.tokens
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         left = 0.0
@@ -49,11 +49,12 @@ class PhaseStrip(QWidget):
             box = QRectF(left + 1, 1, width - 2, self.height() - 2)
             left += width
             done, present = index < self.at, index == self.at
-            painter.setPen(QPen(t.colour("focus" if present else "border"), 2 if present else 1))
-            painter.setBrush(t.colour("raised" if done or present else "bg"))
-            painter.drawRoundedRect(box, 4, 4)
-            painter.setPen(t.colour("text" if done or present else "muted"))
             painter.setFont(base.ui_font(self._theme.scale, 0.8, 600 if present else 400))
+            painter.setPen(t.colour("muted"))
+            if index:
+                arrow = QRectF(box.left() - 10, 1, 18, box.height())
+                painter.drawText(arrow, int(Qt.AlignmentFlag.AlignCenter), "\N{RIGHTWARDS ARROW}")
+            painter.setPen(t.colour("focus" if present else "text" if done else "muted"))
             text = f"\N{CHECK MARK}{name}" if done else name
             room, mode = round(box.width() - 2), Qt.TextElideMode.ElideRight
             fitted = painter.fontMetrics().elidedText(text, mode, room)

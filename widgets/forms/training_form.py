@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QSizePolicy, QToolButton
 
-from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, tr
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, tr
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -86,6 +86,7 @@ class TrainingFormPanel(Panel):
         )  # fmt: skip
         self.start, self.cancel = QPushButton(tr("Start training")), QPushButton(tr("Cancel"))
         self.resume, self.defaults = QPushButton(tr("Resume")), QToolButton()
+        self.why_not = label("", "small", wrap=True)
         self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
         self.defaults.setText(tr("Defaults"))
@@ -139,7 +140,7 @@ class TrainingFormPanel(Panel):
         self.header.addWidget(self.defaults)
         # One row, to leave room for the table of the split.
         buttons = hbox((self.start, 1), self.cancel, self.resume, spacing=4)
-        add_items(self.column, fields, buttons)
+        add_items(self.column, fields, buttons, self.why_not)
         self.folder.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
 
     def show_data(self, entries: Sequence[tuple[str, str]], chosen: str) -> None:
@@ -165,9 +166,10 @@ class TrainingFormPanel(Panel):
         return TrainingForm(**self._fields.read())
 
     def show_buttons(self, buttons: TrainingButtons) -> None:
-        """Enable buttons and fields; the tool tip of a disabled Start gives the reason."""
+        """Enable buttons and fields; the reason for a disabled Start is written below it."""
         self.start.setEnabled(buttons.start)
-        self.start.setToolTip(buttons.why_not or tr("Train in a separate process (Ctrl+Return)"))
+        self.why_not.setText(buttons.why_not)
+        self.why_not.setVisible(bool(buttons.why_not))
         self.cancel.setEnabled(buttons.cancel)
         self.resume.setEnabled(buttons.resume)
         self._fields.set_enabled(not buttons.cancel)

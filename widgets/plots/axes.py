@@ -360,11 +360,16 @@ class GridPainter:
         self.painter.setPen(self.tokens.colour("muted"))
 
 
-def draw_mm_grid(painter: QPainter, area: PlotArea, theme: Theme, count: int = 6) -> None:
-    """Draw a grid of about ``count`` lines each way, tick labels outside, axis names inside."""
+def draw_mm_grid(
+    painter: QPainter, area: PlotArea, theme: Theme, count: int = 6, *, outside: bool = False
+) -> None:
+    """Draw a grid of about ``count`` lines each way; axis names inside, or ``outside`` as ticks."""
     painter.fillRect(area.rect, theme.tokens.colour("bg"))
     GridPainter(painter, area, theme.tokens).grid(count, gap=3)
-    corner = area.rect.adjusted(6, 4, -6, -4)
+    corner, font = area.rect.adjusted(6, 4, -6, -4), painter.fontMetrics()
+    if outside:
+        beside = font.horizontalAdvance("x (mm)") + 10
+        corner = area.rect.adjusted(0, -font.height(), beside, font.height() + 3)
     low, right = Qt.AlignmentFlag.AlignBottom, Qt.AlignmentFlag.AlignRight
     painter.drawText(corner, int(low | right), "x (mm)")
     painter.drawText(corner, int(Qt.AlignmentFlag.AlignLeft), "y (mm)")

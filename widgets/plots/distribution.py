@@ -120,7 +120,8 @@ class DistributionView(PictureView):
         area = self.area()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.8))
-        axes.draw_mm_grid(painter, area, self._theme, 6 if area.rect.width() > 260 else 4)
+        count = 6 if area.rect.width() > 260 else 4
+        axes.draw_mm_grid(painter, area, self._theme, count, outside=True)
         painter.save()
         painter.setClipRect(area.rect)
         if self.scene.bins is not None:

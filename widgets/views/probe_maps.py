@@ -31,7 +31,7 @@ class Thumbnail(QWidget):
         self.view.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.caption = base.label("", "small")
         self.caption.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        column = base.vbox(parent=self, margins=(1, 4, 1, 2), spacing=1)
+        column = base.vbox(parent=self, margins=(5, 4, 5, 2), spacing=1)
         column.addWidget(self.view, 0, Qt.AlignmentFlag.AlignHCenter)
         column.addWidget(self.caption, 0, Qt.AlignmentFlag.AlignHCenter)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -95,7 +95,7 @@ class ProbeStrip(QWidget):
 
     def column_px(self) -> int:
         """Return the width of a column with its scroll bar."""
-        return self.fontMetrics().horizontalAdvance("10: \N{ALMOST EQUAL TO}+10.0 mm") + 16
+        return self.fontMetrics().horizontalAdvance("10: \N{ALMOST EQUAL TO}+10.0 mm") + 24
 
     def sizeHint(self) -> QSize:
         """Return the size of one row or column."""

@@ -157,9 +157,11 @@ def test_nothing_found_says_what_to_do(wizard, main, bench, file, tmp_path, monk
     monkeypatch.setattr(devices, "choices", partial(devices.choices, ports=tmp_path / "none"))
     wizard.look.click()
     assert "then press Look again" in wizard.said.text()
+    assert (wizard.look.property("role"), wizard.save.property("role")) == ("primary", "")
     bench.description = BenchDescription(mode="emulated")
     wizard.look.click()
     assert "emulated: there is nothing to search for" in wizard.said.text()
+    assert (wizard.look.property("role"), wizard.save.property("role")) == ("", "primary")
 
 
 def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:

@@ -26,8 +26,8 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
     with Dataset.open(tmp_path / "data", person="ann") as dataset:
         assert told() == (
-            "No label counts yet. Accept labels in Label (Ctrl+2) and let somebody else approve "
-            "them."
+            "No label counts yet. Accept labels in Label (Ctrl+2); somebody else approves them "
+            "there."
         )
         context = context_for(dataset)
         uuids = [

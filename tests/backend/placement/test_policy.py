@@ -65,7 +65,7 @@ def test_shift_is_clipped_and_explained() -> None:
     assert action.target_mm[0] - HERE[0] == pytest.approx(5.0)
     assert action.reason == (
         "Centre of mass 3.0 mm outside the hull: "
-        "move 3.0 of 5.0 mm (x +3.0, y +0.0), the longest step."
+        "move 3.0 mm (x +3.0, y +0.0), the longest step; the target is 5.0 mm away."
     )
 
 

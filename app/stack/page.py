@@ -88,7 +88,9 @@ class StackPage(LivePage):
         # Without the side view the trials fill the column.
         layout = self._right.layout()
         assert isinstance(layout, QVBoxLayout)
-        layout.setStretchFactor(self.score, int(self.side_panel.isHidden()))
+        fills = int(self.side_panel.isHidden())
+        if layout.stretch(layout.indexOf(self.score)) != fills:  # it asks for a layout each time
+            layout.setStretchFactor(self.score, fills)
 
     def _arrange(self) -> None:
         for panel in self.captions.values():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import settle
 from tests.app.stand_in import stability
@@ -413,3 +414,16 @@ def test_the_bench_is_shown_wherever_form_and_score_leave_its_height(live):
     bars = live.window._scrolls["stack"]
     assert not bars.verticalScrollBar().isVisible()
     assert not bars.horizontalScrollBar().isVisible()
+
+
+def test_a_page_that_is_arranged_asks_for_no_further_layout(live, monkeypatch):
+    """A layout that asks for the next one took half a core."""
+    live.go("stack")
+    settle(live)
+    page, arranged = live.workspaces["stack"].page, []
+    arrange = page._leave_room
+    monkeypatch.setattr(page, "_leave_room", lambda: (arranged.append(1), arrange()))
+    page.updateGeometry()
+    for _ in range(10):
+        QApplication.processEvents()
+    assert len(arranged) <= 2

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import ctypes
 import gc
 import sys
 from functools import partial
@@ -13,7 +11,7 @@ from pathlib import Path
 from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
-from touchdown.app.application import TouchdownApp
+from touchdown.app.application import TouchdownApp, call_glibc
 from touchdown.app.review import ReviewWorkspace
 from touchdown.app.shell import ErrorBox, exit_after_timeout, install_error_hooks, log_to
 from touchdown.app.splash import Splash
@@ -61,8 +59,7 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
 def tune_interpreter() -> None:
     """Pass the interpreter lock on more often, and let threads share the arenas of ``malloc``."""
     sys.setswitchinterval(THREAD_SWITCH_S)
-    with contextlib.suppress(OSError, AttributeError):  # no glibc
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, ARENAS)
+    call_glibc("mallopt", M_ARENA_MAX, ARENAS)
 
 
 def _show(main: TouchdownApp, args: argparse.Namespace) -> None:

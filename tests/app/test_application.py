@@ -19,6 +19,7 @@ from tests.app.slot_watch import SLOT_S, SlotWatch
 from tests.app.stand_in import StandInBench
 from tests.app.tiny_packs import EPISODES, write_tiny_packs
 from tests.app.yardstick import USUAL_S, Yardstick
+from touchdown.app import application
 from touchdown.app.application import TouchdownApp
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.shell.settings import load_settings
@@ -99,6 +100,22 @@ def test_sound_and_notification_call_to_a_window_behind_others_until_switched_of
     main.actions.action("calls").trigger()
     assert not main.calls.on
     assert not load_settings(tmp_path / "window.json")[0].calls
+
+
+def test_the_end_of_a_run_returns_memory_to_the_system(live, bench, monkeypatch):
+    called = []
+    monkeypatch.setattr(application, "call_glibc", lambda *words: called.append(words))
+    bench.tell_start()
+    settle(live)
+    assert called == []
+    bench.events.publish(RunFinished(1.0, "run", "finished", ""))
+    settle(live)
+    assert called == [("malloc_trim", 0)]
+
+
+def test_a_library_without_a_function_of_glibc_does_no_harm():
+    application.call_glibc("malloc_trim", 0)
+    application.call_glibc("no_such_function", 1)
 
 
 def test_what_was_remembered_of_a_page_nobody_saw_is_kept(window, tmp_path):

@@ -74,7 +74,7 @@ def _close(application: QApplication, main: TouchdownApp) -> None:
     main.close()
     main.window.deleteLater()
     main.deleteLater()
-    application.sendPostedEvents(None, 0)
+    application.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     application.processEvents()
 
 
@@ -101,7 +101,12 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
             memory.append(psutil.Process().memory_info().rss / 1e6)
             sys.stderr.write(f"minute {step * STEP_S / 60.0:.1f}: {memory[-1]:.1f} MB\n")
     wall_s, pss_mb, done = time.monotonic() - begun_s, _pss_mb(), day.done()
+    session.engine.cancel()
+    while session.status().state is not RunState.IDLE:
+        _step(main, session, 1, pictures)
     _close(application, main)
+    left = set(threading.enumerate()) - threads
+    sys.stderr.writelines(f"left: {thread}\n" for thread in left)
     at_min = np.arange(len(memory)) * SAMPLE_S / 60.0
     warm, half = (round(share * len(memory)) for share in (WARM_UP, 0.5))
     return {
@@ -112,8 +117,8 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
         **done,
         "wall_s": wall_s,
         **pictures.per_second(),
-        "threads_left": len(set(threading.enumerate()) - threads),
-        "timers_left": _active_timers(),
+        "threads_left": len(left),
+        "timers_left": len(_active_timers()),
     }
 
 
@@ -181,8 +186,7 @@ class _Day:
 
     def _show(self) -> None:
         for _ in range(SHOWN):
-            self._main.pump.tick()
-            QApplication.processEvents()
+            _turn(self._main)
 
     def _take(self, event: Event) -> None:
         self.counts["trials"] += isinstance(event, TrialFinished)
@@ -242,14 +246,22 @@ def _step(main: TouchdownApp, session: Session, step: int, pictures: _Pictures) 
         pictures.turn(stack_in_front=name == "stack")
     pictures.steps += pictures.in_front
     for _ in range(int((step + 1) * TICKS_A_STEP) - int(step * TICKS_A_STEP)):
-        main.pump.tick()
-        QApplication.processEvents()
+        _turn(main)
 
 
-def _active_timers() -> int:
+def _turn(main: TouchdownApp) -> None:
+    """Let the window have one turn, and delete what the event loop of the program would delete."""
+    main.pump.tick()
+    QApplication.processEvents()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+
+
+def _active_timers() -> list[QTimer]:
     gc.collect()
     found = [item for item in gc.get_objects() if isinstance(item, QTimer)]
-    return sum(isValid(timer) and timer.isActive() for timer in found)
+    left = [timer for timer in found if isValid(timer) and timer.isActive()]
+    sys.stderr.writelines(f"left: {timer} of {timer.parent()}\n" for timer in left)
+    return left
 
 
 def start(application: QApplication, folder: Path) -> dict[str, float]:

@@ -8,7 +8,7 @@ import queue
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -296,7 +296,7 @@ def test_a_bench_is_not_ready_with_a_wrist_sensor_that_does_not_weigh_its_hand(
     sensor = make_force_torque(HardwareSettings.model_validate({"ft": ft}), time.monotonic)
     connection = BenchConnection({"force_torque": sensor})
     session = SimpleNamespace(connection=connection, close=sensor.close)
-    monkeypatch.setattr(bench, "lab_session", lambda choice, keep: session)
+    monkeypatch.setattr(bench, "lab_session", lambda choice, keep: closing(session))
     monkeypatch.setattr(bench_verb, "_sensor_timing", lambda session: [])
     ready = hand == "sound"
     assert main(["bench", str(lab), "--connect", "--json"]) == (0 if ready else 1)

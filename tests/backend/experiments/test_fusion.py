@@ -17,10 +17,9 @@ from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation, settings_with
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError, disk_errors
 from touchdown.backend.episodes import TrainingRows
-from touchdown.backend.experiments import oracle
+from touchdown.backend.experiments import KINDS, oracle
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.fusion import (
-    FUSED_KINDS,
     INSETS_MM,
     PORTIONS,
     RULE_SEED,
@@ -301,7 +300,7 @@ def test_from_nothing_to_a_network_with_its_card(
 ) -> None:
     store = JobStore(tmp_path)
     jobs = tiny(bench_v1).jobs()
-    for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
+    for result in run_campaign(jobs, SerialExecutor(KINDS, store), store):
         assert result.state == "done", result.error
     parts = list(read_sequences(store.folder(job.id) for job in jobs[:2]))
     assert [part["wrench"].shape[2:] for part in parts] == 2 * [(8, CHANNELS - TACTILE_CHANNELS)]
@@ -325,7 +324,7 @@ def test_from_nothing_to_a_network_with_its_card(
     tuning = adopt_tuning(store, network, labelled_rows("circle15"), 120.0, 0.25)
     (*parts, tuned) = tiny(bench_v1, tuning=tuning).jobs()
     assert [part.id for part in parts] == [job.id for job in jobs[:-1]]
-    (result,) = run_campaign([tuned], SerialExecutor(FUSED_KINDS, store), store)
+    (result,) = run_campaign([tuned], SerialExecutor(KINDS, store), store)
     assert result.state == "done", result.error
     other = load_fused(store.folder(tuned.id) / WEIGHTS)
     assert other.card.training["pretrained"] == found.card.weights_sha256
@@ -391,7 +390,7 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
     recipe = replace(tiny(bench_v1, outlines="any"), counts={"short": 2, "surface": 2})
     jobs = recipe.jobs()
     assert ["surface" in job.params for job in jobs[:4]] == [False, True, False, True]
-    for result in run_campaign(jobs, SerialExecutor(FUSED_KINDS, store), store):
+    for result in run_campaign(jobs, SerialExecutor(KINDS, store), store):
         assert result.state == "done", result.error
     parts = list(read_sequences(store.folder(job.id) for job in jobs[:4]))
     assert [part["margin_mm"].shape for part in parts] == 4 * [(2, 49, 49)]
@@ -404,7 +403,7 @@ def test_the_wide_family_has_its_own_target_and_leaves_old_jobs_alone(
     tuning = adopt_tuning(store, network, None, 120.0, 0.5, 1e-3)
     longer = replace(recipe, tuning=tuning, batch=4)
     other = replace(tiny(bench_v1), tuning=tuning).jobs()
-    executor = SerialExecutor(FUSED_KINDS, store)
+    executor = SerialExecutor(KINDS, store)
     ends = [
         *run_campaign(longer.jobs()[-1:], executor, store),
         *run_campaign(other, executor, store),
@@ -443,14 +442,14 @@ def test_finished_data_of_any_version_train_an_ensemble(
     jobs = [replace(job, code="an earlier one") for job in data.jobs()]
     assert [job.params["free"] for job in jobs] == [False, True, False, True]
     for job in jobs:
-        assert run_job(job, FUSED_KINDS, store).state == "done"
+        assert run_job(job, KINDS, store).state == "done"
     ready = ready_sequences(store, bench_v1, "convex")
     assert ready == {"short": jobs[::2], "free": jobs[1::2], "surface": []}
     assert not any(ready_sequences(store, bench_v1, "any").values())
     recipe = replace(data, steps=2, ready=ready, networks=2)
     training = recipe.jobs()
     assert [job.kind for job in training] == ["fuse", "fuse", "fuse-join"]
-    for result in run_campaign(training, SerialExecutor(FUSED_KINDS, store), store):
+    for result in run_campaign(training, SerialExecutor(KINDS, store), store):
         assert result.state == "done", result.error
     found = load_fused(store.folder(training[-1].id) / WEIGHTS)
     assert found.card.hyper.networks == 2

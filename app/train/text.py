@@ -67,11 +67,12 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
     """Return the model in use and the effect of a roll-back as text."""
     if in_use is None:
         return ""
-    iou = "" if in_use.card is None else tr(", IoU {:.0f} %", 100 * _test(in_use.card)[0])
-    said = tr("In use for {}: the shipped model{}.", in_use.piece, iou)
+    iou, held_out = (0.0, 0) if in_use.card is None else _test(in_use.card)
+    figure = tr(", IoU {:.0f} %", 100 * iou) if held_out else ""
+    said = tr("In use for {}: the shipped model{}.", in_use.piece, figure)
     if in_use.before is not None:
         since = f"{datetime.fromtimestamp(in_use.since_ns / 1e9):%d %b %H:%M}"
-        models = f"{_model(in_use.weights_sha256)}{iou}", since, _model(in_use.before)
+        models = f"{_model(in_use.weights_sha256)}{figure}", since, _model(in_use.before)
         said = tr("In use for {}: {}, since {}; before it {}.", in_use.piece, *models)
     return said
 

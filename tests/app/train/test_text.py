@@ -7,8 +7,14 @@ import pytest
 
 from tests.app.conftest import settle
 from tests.backend.annotations.conftest import context_for, small_episode
-from touchdown.app.train.reading import TrainingReader
-from touchdown.app.train.text import autonomy_text, figure_rows, promotion_question, run_row
+from touchdown.app.train.reading import ModelInUse, TrainingReader
+from touchdown.app.train.text import (
+    autonomy_text,
+    figure_rows,
+    model_in_use_text,
+    promotion_question,
+    run_row,
+)
 from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
@@ -141,3 +147,14 @@ def test_the_table_of_trainings_fits_a_window_of_1280_px(live):
     settle(live)
     assert table.isVisible()
     assert table.horizontalScrollBar().maximum() == 0
+
+
+@pytest.mark.parametrize("before", [None, SHIPPED_MODEL])
+def test_the_model_in_use_is_named_with_its_iou_where_probes_were_held_out(before):
+    def said(held_out):
+        card = SimpleNamespace(metrics={"validation": {"iou": 0.75}}, data={"held_out": held_out})
+        return model_in_use_text(ModelInUse("pot", "", before, 0, card=card))
+
+    assert ", IoU 75 %" in said(1200)
+    assert "IoU" not in said(0)
+    assert "IoU" not in model_in_use_text(ModelInUse("pot", "", before, 0))

@@ -449,6 +449,10 @@ def test_a_daily_check_that_is_missing_or_out_of_limits_withholds_releases_in_wo
         f"The daily check of 2026-03-02 is out of limits (number of markers, left finger; "
         f"noise at rest, wrist sensor): {fix}"
     )
+    bad = store.day_checks(BENCH).read()[0][-1]
+    names = [name for name, _, _ in bad.rows()]
+    assert sorted(names[:2]) == ["Noise at rest, wrist sensor", "Number of markers, left finger"]
+    assert len(names) == len(bad.limits) > 2
     # The last check of a day counts; another bench has checks of its own.
     assert checked(store, 1).acceptable
     checked(store, 1, replace(BENCH, sha256="other"), left_markers=1.0)

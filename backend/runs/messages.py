@@ -28,11 +28,14 @@ def release_message(stands: bool, margin_mm: float, kick_mm: float = 0.0) -> str
     """Return the outcome of a release, with a shift by the fingers that can be seen."""
     if not math.isfinite(margin_mm):
         return "The piece stands." if stands else "The piece fell: nothing supported it."
-    shifted = f" The opening fingers shifted it by {kick_mm:.1f} mm." if kick_mm >= 0.05 else ""
+    if margin_mm > 0.0 and not stands:
+        return "The piece fell: it was released too high above its support."
+    where = f"{abs(margin_mm):.1f} mm {'inside' if stands else 'outside'} its support"
+    if kick_mm >= 0.05:
+        return f"The fingers shifted the piece by {kick_mm:.1f} mm: {where}."
     if stands:
-        return f"The piece stands, {margin_mm:.1f} mm inside its support.{shifted}"
-    where = f"its centre of mass was {-margin_mm:.1f} mm outside its support"
-    return f"The piece fell: {where}.{shifted}"
+        return f"The piece stands, {where}."
+    return f"The piece fell: its centre of mass was {where}."
 
 
 DECISION_WORDS = {

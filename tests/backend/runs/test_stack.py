@@ -17,7 +17,7 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.learning.fused import Guard, GuardCalibration
-from touchdown.backend.runs import stack
+from touchdown.backend.runs import messages, stack
 
 BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
@@ -153,5 +153,15 @@ def test_a_shift_by_the_opening_fingers_is_told(preset):
     bench.session.run(request())
     (end,) = bench.of(TrialFinished)
     (kick_mm,) = {one.truth().kick_mm for one in bench.benches}
-    shifted = f"The opening fingers shifted it by {kick_mm:.1f} mm."
+    shifted = f"The fingers shifted the piece by {kick_mm:.1f} mm: "
     assert (shifted in end.reason, kick_mm > 0.05) == ((preset == "realistic",) * 2)
+
+
+def test_the_outcome_of_a_release_says_why():
+    told = messages.release_message
+    assert told(True, 2.04) == "The piece stands, 2.0 mm inside its support."
+    assert told(False, -0.3) == "The piece fell: its centre of mass was 0.3 mm outside its support."
+    assert told(False, -0.3, 6.8).endswith("by 6.8 mm: 0.3 mm outside its support.")
+    assert told(True, 0.2, 6.8).endswith("by 6.8 mm: 0.2 mm inside its support.")
+    assert told(False, 5.0) == "The piece fell: it was released too high above its support."
+    assert told(False, float("-inf")) == "The piece fell: nothing supported it."

@@ -16,7 +16,7 @@ PADDING = 3  # width added to a phase name, in letters
 
 
 class PhaseStrip(QWidget):
-    """Phases in a row: completed ones are ticked, the present one is bold, arrows lead on."""
+    """Phases in a row: completed ones are ticked, the present one is bold."""
 
     def __init__(self, theme: base.Theme, phases: Sequence[str]) -> None:
         super().__init__()
@@ -50,10 +50,6 @@ class PhaseStrip(QWidget):
             left += width
             done, present = index < self.at, index == self.at
             painter.setFont(base.ui_font(self._theme.scale, 0.8, 600 if present else 400))
-            painter.setPen(t.colour("muted"))
-            if index > max(self.at, 0):  # a tick separates the others
-                arrow = QRectF(box.left() - 10, 1, 18, box.height())
-                painter.drawText(arrow, int(Qt.AlignmentFlag.AlignCenter), "\N{RIGHTWARDS ARROW}")
             painter.setPen(t.colour("focus" if present else "text" if done else "muted"))
             text = f"\N{CHECK MARK}{name}" if done else name
             room, mode = round(box.width() - 2), Qt.TextElideMode.ElideRight

@@ -174,8 +174,9 @@ class Adam:
                 kept[name].copy_(given[name])
 
 
-# Coefficients, momentum and length of the steps of Muon (arXiv 2502.16982, equations 2 and 7).
-NEWTON_SCHULZ, NEWTON_SCHULZ_STEPS = (3.4445, -4.7750, 2.0315), 5
+# Coefficients, momentum and length of the steps of Muon (arXiv 2502.16982, equations 2 and 7). The
+# paper takes 5 iterations; with 4 the held-out loss of the patch network is the same.
+NEWTON_SCHULZ, NEWTON_SCHULZ_STEPS = (3.4445, -4.7750, 2.0315), 4
 MOMENTUM, LENGTH = 0.95, 0.2
 
 
@@ -223,6 +224,7 @@ class MuonAdam(Adam):
 
 CPU = torch.device("cpu")
 EPISODES_PER_PASS = 4096  # episodes in memory at once during a pass over all
+EPISODES_PER_GRADIENT = 64  # of a batch at once on a CPU: their states fit its cache
 
 
 def fingerprint(rows: TrainingRows) -> str:
@@ -319,18 +321,20 @@ class Trainer:
             self.optimiser.rate *= 0.5 * (1 + math.cos(math.pi * self.done / settings.epochs))
         self.model.train()
         coarse = settings.precision == "bfloat16"
+        at_once = EPISODES_PER_GRADIENT if self.device.type == "cpu" else settings.batch
         total = 0.0
         for batch in in_batches(order, settings.batch):
             if cancelled():
                 return None
             self.optimiser.zero_grad()
-            with torch.autocast(self.device.type, torch.bfloat16, enabled=coarse):
-                logits = self.model(self._inputs(batch))
-            targets = self._targets[batch].to(self.device)
-            loss = binary_cross_entropy_with_logits(logits.float(), targets)
-            loss.backward()  # type: ignore[no-untyped-call]
+            for part in in_batches(batch, at_once):
+                with torch.autocast(self.device.type, torch.bfloat16, enabled=coarse):
+                    logits = self.model(self._inputs(part))
+                targets = self._targets[part].to(self.device)
+                loss = binary_cross_entropy_with_logits(logits.float(), targets)
+                (loss * (len(part) / len(batch))).backward()  # type: ignore[no-untyped-call]
+                total += float(loss.detach()) * len(part)
             self.optimiser.step()
-            total += float(loss.detach()) * len(batch)
         return total / len(order)
 
     def _validate(self, train_loss: float) -> TrainingEpoch:

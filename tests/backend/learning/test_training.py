@@ -30,6 +30,7 @@ from touchdown.backend.learning import (
 )
 from touchdown.backend.learning.inference import Modality, channel_groups, fit_normaliser_in_parts
 from touchdown.backend.learning.training import (
+    NEWTON_SCHULZ_STEPS,
     Adam,
     MuonAdam,
     computes_bfloat16,
@@ -77,7 +78,9 @@ def test_muon_follows_that_of_torch_and_goes_on_from_kept_moments() -> None:
         start, gradients = rng.normal(size=shape), [rng.normal(size=shape) for _ in range(6)]
         ours, theirs = (torch.nn.Parameter(torch.tensor(start)) for _ in range(2))
         own = MuonAdam([ours], [], RATE, torch.bfloat16)
-        reference = torch.optim.Muon([theirs], RATE, 0.0, adjust_lr_fn="match_rms_adamw")
+        reference = torch.optim.Muon(
+            [theirs], RATE, 0.0, ns_steps=NEWTON_SCHULZ_STEPS, adjust_lr_fn="match_rms_adamw"
+        )
         for number, gradient in enumerate(gradients):
             if number == 3:
                 again = MuonAdam([ours], [], RATE, torch.bfloat16)
@@ -90,6 +93,20 @@ def test_muon_follows_that_of_torch_and_goes_on_from_kept_moments() -> None:
             assert ours.grad is None
         moved = np.abs(theirs.detach().numpy() - start).max()
         np.testing.assert_allclose(ours.detach(), theirs.detach(), rtol=0, atol=0.01 * moved)
+
+
+def test_a_batch_in_parts_gives_the_gradient_of_the_whole_batch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = SMALL.model_copy(update={"batch": 100})
+    weights, losses = [], []
+    for at_once in (1000, 16):
+        monkeypatch.setattr(f"{Trainer.__module__}.EPISODES_PER_GRADIENT", at_once)
+        trainer = Trainer(rows(60), settings)
+        losses.append(next(trainer.epochs()).train_loss)
+        weights.append(torch.cat([p.detach().flatten() for p in trainer.model.parameters()]))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    torch.testing.assert_close(weights[0], weights[1], rtol=0, atol=0.02 * RATE)
 
 
 def test_muon_moves_the_matrices_of_the_lstm_layers_only() -> None:

@@ -117,7 +117,7 @@ class Detector:
         cv2.resize(np.reciprocal(mean), (WIDTH_PX, HEIGHT_PX), self._per_mean)
         np.multiply(self._brightest, self._per_mean, out=self._flat)
         self._soft = self._soft[:0]
-        levels = self._flat[::4, ::4].ravel()
+        levels = self._flat[::8, ::8].ravel()
         at = int(_DOT_RANK * len(levels))
         darkness = 1.0 - float(np.partition(levels, at)[at])
         self._depth = min(max(_BLOB_SHARE * darkness, _BLOB_RANGE[0]), _BLOB_RANGE[1])
@@ -218,8 +218,7 @@ class Detector:
         steep = np.float32(1.0 / (_RAMP[0] - _RAMP[1])) / range_
         np.subtract((core + np.float32(_RAMP[0]) * range_)[:, None], rows, out=rows)
         rows *= steep[:, None]
-        np.minimum(rows, np.float32(1.0), out=rows)
-        np.maximum(rows, _MIN_DARKNESS, out=rows)
+        np.clip(rows, _MIN_DARKNESS, np.float32(1.0), out=rows)
         return weight, contrast
 
 

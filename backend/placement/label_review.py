@@ -6,7 +6,7 @@ The scores order four of the review queues.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -182,28 +182,51 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)
 COMPARED_TICKS = [4, 9, 14, 19]  # of a press, for the comparison of signals
 MAX_COMPARED, MAX_PICKS = 1500, 300  # most episodes of a piece that are compared, and ordered
+PATCH_RIDGE = 0.1  # variance of a label in kernel ridge regression, where that of a patch is 1
 
 
-def training_order(signals: NDArray[np.floating], labelled: NDArray[np.bool_]) -> list[int]:
-    """Return the indices of the episodes to label next, most informative first.
+def training_order(
+    signals: NDArray[np.floating],
+    estimated: NDArray[np.floating],
+    patches: Mapping[int, NDArray[np.bool_]],
+    most: int = MAX_PICKS,
+) -> list[int]:
+    """Return the indices of ``most`` episodes to label next, most informative first.
 
-    ``signals`` (n, 4, 258) of a press, of which markers, forces and moments count alike. A label
-    stands for similar episodes: the next one adds most to the sum, over all episodes, of the
-    likeness to the nearest of the ``labelled`` (n,) ones (greedy facility location).
+    ``signals`` (n, 4, 258) of a press, ``estimated`` (n, N) patches of the model, and ``patches``
+    (N,) of the labelled episodes by index. Kernel ridge regression predicts the patches from the
+    labelled ones with similar signals. An episode stands for those with a similar difference
+    between the prediction and the model's estimate: the next one adds most to the sum, over all
+    episodes, of the likeness to the nearest labelled or earlier one (greedy facility location).
+    Without labels there is nothing to predict from, and the order stays.
     """
+    labelled = sorted(patches)
+    if not labelled:
+        return list(range(min(len(signals), most)))
     kinds = np.split(signals - signals.mean(axis=0), (TACTILE_CHANNELS, TACTILE_CHANNELS + 3), 2)
     scaled = [kind.reshape(len(kind), -1) / max(np.linalg.norm(kind), 1e-9) for kind in kinds]
-    left, sizes, _ = np.linalg.svd(np.hstack(scaled), full_matrices=False)
-    apart = squareform(pdist(left[:, :PARTS] * sizes[:PARTS], "sqeuclidean"))
-    likeness = np.exp(-apart / max(2.0 * float(np.median(apart)), 1e-12))
-    nearest = likeness[:, labelled].max(axis=1, initial=0.0)
-    free, order = ~labelled, list[int]()
-    for _ in range(min(int(free.sum()), MAX_PICKS)):
+    alike = _likeness(np.hstack(scaled))
+    known = np.array([patches[k] for k in labelled], dtype=np.float64)
+    mean, among = known.mean(axis=0), alike[np.ix_(labelled, labelled)]
+    weights = np.linalg.solve(among + PATCH_RIDGE * np.eye(len(labelled)), known - mean)
+    predicted = np.clip(mean + alike[:, labelled] @ weights, 0.0, 1.0)
+    likeness = _likeness(predicted - estimated)
+    nearest = likeness[:, labelled].max(axis=1)
+    free, order = np.ones(len(signals), dtype=bool), list[int]()
+    free[labelled] = False
+    for _ in range(min(int(free.sum()), most)):
         gain = np.maximum(likeness - nearest[:, None], 0.0).sum(axis=0)
         order.append(int(np.where(free, gain, -1.0).argmax()))
         free[order[-1]] = False
         nearest = np.maximum(nearest, likeness[:, order[-1]])
     return order
+
+
+def _likeness(features: FloatArray) -> FloatArray:
+    """Return a Gaussian (n, n) of the distances between the principal components."""
+    left, sizes, _ = np.linalg.svd(features - features.mean(axis=0), full_matrices=False)
+    apart = squareform(pdist(left[:, :PARTS] * sizes[:PARTS], "sqeuclidean"))
+    return np.asarray(np.exp(-apart / max(2.0 * float(np.median(apart)), 1e-12)))
 
 
 @dataclass(slots=True)
@@ -215,13 +238,22 @@ class _PairSignals:
     wrench: list[FloatArray] = field(default_factory=list)
 
 
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """Signals (4, 258), estimated patch (N,), and that of the label if it was accepted."""
+
+    signals: NDArray[np.floating]
+    estimated: FloatArray
+    patch: NDArray[np.bool_] | None
+
+
 @dataclass(slots=True)
 class _ModelResults:
-    """Results of the models of one piece: ``signals`` (4, 258), and ``felt`` per pair."""
+    """Results of the models of one piece: compared probes, and ``felt`` per pair."""
 
     suggestion: dict[str, Label] = field(default_factory=dict)
     apart: dict[str, float] = field(default_factory=dict)
-    signals: dict[str, NDArray[np.floating]] = field(default_factory=dict)
+    compared: dict[str, _Compared] = field(default_factory=dict)
     felt: dict[str, _PairSignals] = field(default_factory=lambda: defaultdict(_PairSignals))
 
 
@@ -269,13 +301,16 @@ def _score(dataset: Dataset, entry: EpisodeEntry, models: Ensemble, found: _Mode
     settled = episode.observation[-SETTLED_TICKS:, TACTILE_CHANNELS:].mean(axis=0)
     felt.wrench.append(np.asarray(settled, dtype=np.float64))
     if head.state != "rejected":
-        found.signals[entry.uuid] = episode.observation[COMPARED_TICKS]
+        accepted = head.state in ("submitted", "approved")
+        patch = dataset.geometry.patch(entry.geometry, head.label).touching if accepted else None
+        signals = episode.observation[COMPARED_TICKS]
+        found.compared[entry.uuid] = _Compared(signals, says.patch.probability, patch)
 
 
 def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
     dataset.scores.suggest(found.suggestion, weights)
-    if found.signals:
-        dataset.scores.put("training", _training_scores(dataset, found), weights)
+    if found.compared:
+        dataset.scores.put("training", _training_scores(found.compared), weights)
     dataset.scores.put("disagreement", found.apart, weights)
     for felt in found.felt.values():
         offsets = np.stack([dataset.labels.head(uuid).label.offset_mm for uuid in felt.uuids])
@@ -293,9 +328,12 @@ def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
             dataset.scores.put(name, scores, weights)
 
 
-def _training_scores(dataset: Dataset, found: _ModelResults) -> dict[str, float]:
+def _training_scores(compared: Mapping[str, _Compared]) -> dict[str, float]:
     """Return 1 for the unlabelled episode to label first, less for the next ones."""
-    uuids = np.random.default_rng(0).permutation(sorted(found.signals))[:MAX_COMPARED].tolist()
-    labelled = [dataset.labels.head(uuid).state in ("submitted", "approved") for uuid in uuids]
-    order = training_order(np.array([found.signals[uuid] for uuid in uuids]), np.array(labelled))
+    uuids = np.random.default_rng(0).permutation(sorted(compared))[:MAX_COMPARED].tolist()
+    probes = [compared[uuid] for uuid in uuids]
+    patches = {k: one.patch for k, one in enumerate(probes) if one.patch is not None}
+    signals, estimated = (np.array([getattr(one, of) for one in probes])
+                          for of in ("signals", "estimated"))  # fmt: skip
+    order = training_order(signals, estimated, patches)
     return {uuids[k]: 1.0 - place / len(order) for place, k in enumerate(order)}

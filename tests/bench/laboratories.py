@@ -28,7 +28,6 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.bench.experiments import label_elsewhere, recorded_elsewhere
@@ -269,7 +268,7 @@ def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str
 FOLDER = Path("output/laboratories")
 # Files in docs/results
 HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
-LOSSES, COMES_BACK, ACTIVE = "laboratory-losses", "comes-back", "active-labelling"
+LOSSES, COMES_BACK, ACTIVE = "laboratory-losses", "comes-back", "labels-saved"
 MANY = 300  # presses
 LOST = 10.0  # points of success; less is no loss that could come back
 
@@ -421,9 +420,10 @@ MIXED = 400  # simulated probes beside the labelled ones of a fine-tuning
 KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
 LABORATORY_SEED, TEST_SEED = 31_000, 32_000
 # Active labelling: smaller still, since it trains some hundred times.
-BATCH, MOST, ACTIVE_SEEDS, TINY = 50, 150, 10, {"hidden": 32}
-AVAILABLE, LEARNS = 300, 0.05  # probes that wait for a label; gain of IoU by the last labels
-TUNED = (2,)  # laboratories that the order of the queue was chosen on
+BATCH, MOST, ACTIVE_SEEDS, TINY = 25, 150, 10, {"hidden": 32}  # batch: as the window offers it
+DRAWN_FROM, AVAILABLE = 2000, 1000  # probes of a laboratory; those of a seed that wait for a label
+LEARNS = 0.05  # least gain of IoU by ``MOST`` labels
+TUNED = (2, 3)  # laboratories that the order of the queue was chosen on
 
 
 def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
@@ -484,12 +484,14 @@ def write_bench(file: Path, content: Mapping[str, Any]) -> Path:
 
 
 @cache
-def laboratory_probes(seed: int, out: Path) -> tuple[Path, TrainingRows, TrainingRows]:
-    """Return the nominal bench, labelled probes of the laboratory, and its test probes."""
+def laboratory_probes(
+    seed: int, out: Path, count: int = POOL
+) -> tuple[Path, TrainingRows, TrainingRows]:
+    """Return the nominal bench, ``count`` labelled probes of the laboratory, and test probes."""
     drawn, _ = draw_laboratory(seed, drivers=True)
     content = drawn.model_dump(mode="json", exclude_none=True)
     there = write_bench(out / f"laboratory-{seed}.toml", content)
-    pool = simulated_probes(there, POOL // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
+    pool = simulated_probes(there, count // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
     test = simulated_probes(there, TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
     return write_bench(out / "nominal.toml", {}), pool, test
 
@@ -545,22 +547,27 @@ def active_labelling(seed: int, out: Path) -> dict[str, Any]:
     """Count the labels for equal IoU, in the order of the queue and in random order.
 
     Each seed draws ``AVAILABLE`` probes of the laboratory. The network of the nominal bench is
-    fine-tuned on all labels after every ``BATCH`` of them. Without a gain of ``LEARNS`` in random
-    order the orders cannot be compared, and the queue is left out. Curves are kept in ``out``.
+    fine-tuned on all labels after every ``BATCH`` of them, and the queue is ordered again. Without
+    a gain of ``LEARNS`` in random order the orders cannot be compared, and the queue is left out.
+    Curves are kept in ``out``.
     """
     use_one_thread()
-    folder = out / "active"
+    folder = out / "orders"
     folder.mkdir(parents=True, exist_ok=True)
 
     def curve(way: str, one: int) -> list[float]:
-        nominal, pool, test = laboratory_probes(seed, folder)
+        nominal, pool, test = laboratory_probes(seed, folder, DRAWN_FROM)
         (simulated, start), tuning = nominal_start(nominal), TUNING.model_copy(update=TINY)
-        there = np.random.default_rng(one).permutation(len(pool))[:AVAILABLE]
-        if way == "queue":
-            there = there[queue_order(pool.take(there))]
-        counts = range(BATCH, MOST + 1, BATCH)
-        networks = (trained(pool.take(there[:n]), tuning, one, start, simulated) for n in counts)
-        return [tested(network, test)["iou"] for network in (start, *networks)]
+        rows = pool.take(np.random.default_rng(one).permutation(len(pool))[:AVAILABLE])
+        labelled, networks = list[int](), [start]
+        while len(labelled) < MOST:
+            if way == "queue":
+                labelled += next_batch(rows, networks[-1], labelled)
+            else:
+                labelled += range(len(labelled), len(labelled) + BATCH)
+            given = rows.take(np.array(labelled))
+            networks.append(trained(given, tuning, one, start, simulated))
+        return [tested(network, test)["iou"] for network in networks]
 
     def curves(way: str) -> list[list[float]]:
         return [
@@ -584,10 +591,11 @@ def nominal_start(nominal: Path) -> tuple[TrainingRows, Any]:
     return simulated, trained(simulated, SMALL.model_copy(update=TINY), 0)
 
 
-def queue_order(rows: TrainingRows) -> NDArray[np.intp]:
-    """Return the probes in the order in which the queue *Typical signals* shows them."""
+def next_batch(rows: TrainingRows, network: Any, labelled: list[int]) -> list[int]:
+    """Return the first probes of the queue *Most to learn*."""
     signals = rows.observation[:, label_review.COMPARED_TICKS]
-    return np.array(label_review.training_order(signals, np.zeros(len(rows), bool)))
+    known = {k: rows.patch[k] for k in labelled}
+    return label_review.training_order(signals, patches(network, rows), known, BATCH)
 
 
 def first_reached(values: Any, at: Any, target: float) -> float:

@@ -29,7 +29,7 @@ QUEUES: tuple[tuple[str, str], ...] = (
     ("returned", "Rejected, to correct"),
     ("doubt", "The signals speak against it"),
     ("disagreement", "Disagreement with the model"),
-    ("training", "Typical signals"),
+    ("training", "Most to learn"),
     ("coverage", "Holes in the coverage"),
     ("duplicates", "Alike signals, other labels"),
     ("conflicts", "Conflicts after a merge"),

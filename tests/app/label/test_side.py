@@ -523,7 +523,7 @@ def test_a_training_is_offered_after_some_labels_of_the_queue_for_it(desk, monke
     desk.do(KEY.Key_Return)
     assert step.isHidden()
     desk.do(KEY.Key_Return)
-    text = "Typical signals: 2 episodes done. 2 labels for a training."
+    text = "Most to learn: 2 episodes done. 2 labels for a training."
     assert (step.text.text(), step.yes.text()) == (text, "Train on them")
     assert desk.uuid == order[2]
     desk.do((KEY.Key_Period, CTRL))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RBFInterpolator
 from scipy.spatial import ConvexHull, QhullError
 from shapely.geometry import MultiPoint, Point
 
@@ -445,38 +446,46 @@ def clusters(*sizes, spread=0.02):
     return middles[group] + spread * rng.normal(size=(len(group), 4, 258)), group
 
 
-def test_the_order_of_labels_covers_all_groups_before_it_repeats_one():
+def test_the_order_of_labels_asks_where_the_model_errs_in_a_way_no_label_has_shown():
     signals, group = clusters(7, 20, 12)
-    order = training_order(signals, np.zeros(len(group), dtype=bool))
-    assert group[order[:3]].tolist() == [1, 2, 0]  # the largest first
-    assert sorted(order) == list(range(39))
-    labelled = group == 1
-    rest = training_order(signals, labelled)
-    assert group[rest[:2]].tolist() == [2, 0]
-    assert not labelled[rest].any()
-    assert training_order(signals, np.ones(39, dtype=bool)) == []
+    patches = np.eye(3, dtype=bool)[group]  # of each group its own
+    estimated = 1.0 * patches
+    estimated[7:17], estimated[17:27] = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]  # wrong in two ways
+    known = {k: patches[k] for k in (0, 7, 38)}
+    order = training_order(signals, estimated, known)
+    assert 17 <= order[0] < 27
+    assert sorted([*order, *known]) == list(range(39))
+    assert training_order(signals, estimated, known, 5) == order[:5]
+    assert training_order(signals, estimated, dict(enumerate(patches))) == []
+    assert training_order(signals, estimated, {}, 30) == list(range(30))
     copies = np.repeat(signals[:2], 3, axis=0)
-    assert sorted(training_order(copies, np.zeros(6, dtype=bool))) == list(range(6))
+    assert sorted(training_order(copies, np.zeros((6, 3)), {2: patches[0]})) == [0, 1, 3, 4, 5]
 
 
-def test_each_label_makes_the_episodes_most_alike_a_labelled_one():
-    """A search over all candidates with loops, for signals of three dimensions."""
+def test_each_label_makes_the_expected_errors_most_alike_a_labelled_one():
+    """Kernel ridge regression of scipy, then a search over all candidates with loops."""
     rng = np.random.default_rng(5)
     x = rng.normal(size=(24, 3))
     signals = np.zeros((24, 4, 258))
     signals[:, 0, 3], signals[:, 2, 253], signals[:, 3, 257] = x.T * [[0.4], [30.0], [0.02]]
     x = (x - x.mean(axis=0)) / x.std(axis=0)  # each kind of signal counts alike
-    apart = [[math.dist(a, b) ** 2 for b in x] for a in x]
-    width = 2 * np.median(apart)
-    alike = np.exp(-np.array(apart) / width)
-    taken = [4, 17]
-    for found in training_order(signals, np.isin(np.arange(24), taken)):
+    patches, estimated = rng.random((24, 5)) < 0.5, rng.random((24, 5))
+    taken = [17, 4, 9, 20]
+    middle = patches[taken].mean(axis=0)
+    epsilon = 1 / math.sqrt(2 * np.median([[math.dist(a, b) ** 2 for b in x] for a in x]))
+    fit = RBFInterpolator(x[taken], patches[taken] - middle, kernel="gaussian", epsilon=epsilon,
+                          smoothing=0.1, degree=-1)  # fmt: skip
+    error = np.clip(middle + fit(x), 0, 1) - estimated
+    apart = [[math.dist(a, b) ** 2 for b in error] for a in error]
+    alike = np.exp(-np.array(apart) / (2 * np.median(apart)))
+    for found in training_order(signals, estimated, {k: patches[k] for k in taken}):
         best = max(
             (k for k in range(24) if k not in taken),
             key=lambda k: sum(max(row[j] for j in [*taken, k]) for row in alike),
         )
         assert found == best
         taken.append(found)
+    assert len(taken) == 24
 
 
 POT = face_points(circle(15.0))

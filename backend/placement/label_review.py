@@ -212,8 +212,7 @@ def training_order(
     predicted = np.clip(mean + alike[:, labelled] @ weights, 0.0, 1.0)
     likeness = _likeness(predicted - estimated)
     nearest = likeness[:, labelled].max(axis=1)
-    free, order = np.ones(len(signals), dtype=bool), list[int]()
-    free[labelled] = False
+    free, order = ~np.isin(np.arange(len(signals)), labelled), list[int]()
     for _ in range(min(int(free.sum()), most)):
         gain = np.maximum(likeness - nearest[:, None], 0.0).sum(axis=0)
         order.append(int(np.where(free, gain, -1.0).argmax()))
@@ -238,13 +237,8 @@ class _PairSignals:
     wrench: list[FloatArray] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    """Signals (4, 258), estimated patch (N,), and that of the label if it was accepted."""
-
-    signals: NDArray[np.floating]
-    estimated: FloatArray
-    patch: NDArray[np.bool_] | None
+# Signals (4, 258), estimated patch (N,), and that of the label if it was accepted
+_Compared = tuple[NDArray[np.floating], FloatArray, NDArray[np.bool_] | None]
 
 
 @dataclass(slots=True)
@@ -303,8 +297,11 @@ def _score(dataset: Dataset, entry: EpisodeEntry, models: Ensemble, found: _Mode
     if head.state != "rejected":
         accepted = head.state in ("submitted", "approved")
         patch = dataset.geometry.patch(entry.geometry, head.label).touching if accepted else None
-        signals = episode.observation[COMPARED_TICKS]
-        found.compared[entry.uuid] = _Compared(signals, says.patch.probability, patch)
+        found.compared[entry.uuid] = (
+            episode.observation[COMPARED_TICKS],
+            says.patch.probability,
+            patch,
+        )
 
 
 def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
@@ -331,9 +328,7 @@ def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
 def _training_scores(compared: Mapping[str, _Compared]) -> dict[str, float]:
     """Return 1 for the unlabelled episode to label first, less for the next ones."""
     uuids = np.random.default_rng(0).permutation(sorted(compared))[:MAX_COMPARED].tolist()
-    probes = [compared[uuid] for uuid in uuids]
-    patches = {k: one.patch for k, one in enumerate(probes) if one.patch is not None}
-    signals, estimated = (np.array([getattr(one, of) for one in probes])
-                          for of in ("signals", "estimated"))  # fmt: skip
-    order = training_order(signals, estimated, patches)
+    signals, estimated, patches = zip(*(compared[uuid] for uuid in uuids), strict=True)
+    known = {k: patch for k, patch in enumerate(patches) if patch is not None}
+    order = training_order(np.array(signals), np.array(estimated), known)
     return {uuids[k]: 1.0 - place / len(order) for place, k in enumerate(order)}

@@ -28,6 +28,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.bench.experiments import label_elsewhere, recorded_elsewhere

@@ -226,7 +226,7 @@ class Dataset:
             )
         except BaseException:
             if lock is not None:
-                lock.release()
+                lock.close()
             raise
         dataset = cls(folder, description, database, lock)
         try:
@@ -494,7 +494,7 @@ class Dataset:
                 self._checked.keep(self.database)
         self.database.close()
         if self._lock is not None:
-            self._lock.release()
+            self._lock.close()
             self._lock = None
 
     def __enter__(self) -> Self:

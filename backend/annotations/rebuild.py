@@ -73,8 +73,7 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
             str(folder / CATALOGUE_FILE),
             "Say --replace to put the new one in its place; the old one is kept in quarantine.",
         )
-    lock = WriterLock.take(folder, person)
-    try:
+    with closing(WriterLock.take(folder, person)):
         path = folder / REBUILT
         _delete(path)
         try:
@@ -84,8 +83,6 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
                 put_in_place(folder, path)
         finally:
             _delete(path)
-    finally:
-        lock.release()
     return result
 
 

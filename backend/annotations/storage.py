@@ -142,7 +142,7 @@ class DatasetInUseError(NotWritableError):
 
 
 class WriterLock:
-    """Lock for writing a dataset, from ``take`` until ``release``."""
+    """Lock for writing a dataset, from ``take`` until ``close``."""
 
     def __init__(self, folder: Path, descriptor: int) -> None:
         self._path, self._descriptor = folder / LOCK_NAME, descriptor
@@ -165,7 +165,7 @@ class WriterLock:
         os.write(descriptor, json.dumps(asdict(me)).encode("utf-8"))
         return cls(folder, descriptor)
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Release the lock. The file stays: removing it would let two writers in."""
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)

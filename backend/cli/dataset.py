@@ -6,6 +6,7 @@ import argparse
 import getpass
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
@@ -76,11 +77,8 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         raise InputError(
             "Which backup?", "restore", f"Name a file, such as one in {folder / 'backup'}."
         )
-    lock = WriterLock.take(folder)
-    try:
+    with closing(WriterLock.take(folder)):
         aside = restore_backup(folder, args.other)
-    finally:
-        lock.release()
     with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
         notices = dataset.notices
         dataset.resolve(_person(args), "replay")

@@ -207,7 +207,9 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
     Photos are numbered and never overwritten. Raises ``InputError`` naming the file.
     """
     fix = "Choose a JPEG or PNG picture below 30 MB."
-    try:
+    with core.disk_errors(
+        "The picture cannot be kept", source, "Look at the file and at the disk."
+    ):
         if source.stat().st_size > MAX_BYTES:
             raise core.InputError("The picture is too large.", str(source), fix)
         content = source.read_bytes()
@@ -218,9 +220,6 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
         number = max((int(word) for word in taken if word.isdecimal()), default=0) + 1
         path = run / FOLDER / f"{name}{number}{source.suffix.lower()}"
         core.write_atomically(path, content)
-    except OSError as error:
-        what = f"The picture cannot be kept: {error.strerror or error}."
-        raise core.InputError(what, str(source), "Look at the file and at the disk.") from error
     return path
 
 

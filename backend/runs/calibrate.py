@@ -139,8 +139,7 @@ def probed_edge(
     axis, side, off_mm = where
     from_mm = centre.copy()
     from_mm[1 - axis] += off_mm
-    reach = np.add(bench.piece.face.half_extents_mm, bench.outline.half_extents_mm)
-    at = yield from edge_mm(bench, from_mm, axis, side * float(reach[axis]), start_mm, FINE_MM)
+    at = yield from edge_mm(bench, from_mm, axis, side, start_mm, FINE_MM)
     return TouchedEdge(axis, side, off_mm, float(centre[axis]) + at)
 
 

@@ -132,13 +132,10 @@ def check_origin(bench: Bench, origin: HandPosition) -> Plan[core.OriginChecked]
     centre = np.array([origin.x_mm, origin.y_mm])
     contact_mm = yield from find_height(bench, centre)
     start_mm = contact_mm + bench.settings.probe.start_height_mm
-    reach = np.add(bench.piece.face.half_extents_mm, bench.outline.half_extents_mm)
     for axis in range(2):
-        edges = []
-        for side in (-1.0, 1.0):
-            edge = yield from edge_mm(bench, centre, axis, side * float(reach[axis]), start_mm)
-            edges.append(edge)
-        centre[axis] += 0.5 * (edges[0] + edges[1])
+        low_mm = yield from edge_mm(bench, centre, axis, -1.0, start_mm)
+        high_mm = yield from edge_mm(bench, centre, axis, 1.0, start_mm)
+        centre[axis] += 0.5 * (low_mm + high_mm)
     collect = bench.settings.collect
     touch = math.hypot(RESOLUTION_MM / math.sqrt(12.0), collect.arm_sigma_mm) / math.sqrt(2.0)
     # Combines resolution, arm and grasp

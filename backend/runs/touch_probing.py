@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 
@@ -54,18 +53,18 @@ def edge_mm(
     bench: Bench,
     centre: FloatArray,
     axis: int,
-    expected_mm: float,
+    side: float,
     start_mm: float,
     to_mm: float = RESOLUTION_MM,
 ) -> Plan[float]:
     """Return the distance from ``centre`` along ``axis`` where contact ends, by bisection to
     ``to_mm``.
 
-    ``expected_mm`` has its sign; descents begin at ``start_mm``. Raises ``RefusedError`` "ORIGIN-
-    FAR" if the edge is more than ``SEARCH_MM`` off.
+    ``side`` is +1 or -1; descents begin at ``start_mm``. Raises ``RefusedError`` "ORIGIN-FAR" if
+    the edge is more than ``SEARCH_MM`` off.
     """
-    side = math.copysign(1.0, expected_mm)
-    inside, outside = abs(expected_mm) - SEARCH_MM, abs(expected_mm) + SEARCH_MM
+    expected_mm = bench.piece.face.half_extents_mm[axis] + bench.outline.half_extents_mm[axis]
+    inside, outside = expected_mm - SEARCH_MM, expected_mm + SEARCH_MM
     least, most = inside, outside
     while outside - inside > to_mm:
         middle = 0.5 * (inside + outside)

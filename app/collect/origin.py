@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -92,10 +92,6 @@ class OriginCheckNote:
     def of(cls, event: OriginChecked, at: datetime) -> OriginCheckNote:
         """Return the note of a check made at ``at``."""
         return cls(event.residual_mm, event.sigma_mm, event.agrees, f"{at:%Y-%m-%d %H:%M}")
-
-    def taken(self) -> OriginCheckNote:
-        """Return the note after the origin was corrected by it."""
-        return replace(self, used=True)
 
 
 def residual_text(note: OriginCheckNote | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox
@@ -132,7 +133,7 @@ class OriginField:
             x, y = self._target.origin
             x.setValue(x.value() + self.note.residual_mm[0])
             y.setValue(y.value() + self.note.residual_mm[1])
-            self.show_note(self.note.taken())
+            self.show_note(replace(self.note, used=True))
 
     def set_here(self, bench: Session | None) -> None:
         """Set the origin to the present position of the arm."""

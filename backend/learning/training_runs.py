@@ -449,11 +449,6 @@ class RecordedTraining:
         self._lock = threading.Lock()
 
     @property
-    def uuid(self) -> str:
-        """Id of the run."""
-        return self._run.uuid
-
-    @property
     def folder(self) -> Path:
         """Folder of the run."""
         return self._run.folder

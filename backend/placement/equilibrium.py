@@ -132,11 +132,6 @@ class RestingContact:
         """True if the margin is too small for a verdict."""
         return abs(self.margin_mm) < TOO_CLOSE_MM
 
-    @property
-    def share(self) -> float:
-        """Share of the face points in contact, 0..1."""
-        return float(self.touching.mean()) if len(self.touching) else 0.0
-
 
 def resting_contact(
     points_mm: FloatArray,

@@ -87,7 +87,8 @@ class RigLink:
         self._forget()
         self._child: subprocess.Popen[bytes] | None = None
         self._channel: Channel | None = None
-        self._memory: SharedMemory | None = None
+        # Shared with the rig; readable after its death until the next start.
+        self.memory: SharedMemory | None = None
         self._thread: threading.Thread | None = None
         self._numbers = itertools.count(1)
         self._answers: dict[int, _PendingAnswer] = {}
@@ -112,11 +113,6 @@ class RigLink:
         return self._child is not None and self.lost is None
 
     @property
-    def memory(self) -> SharedMemory | None:
-        """Memory shared with the rig; readable after its death until the next start."""
-        return self._memory
-
-    @property
     def hello(self) -> Message:
         """Greeting of the rig; empty before the start."""
         return self._greeting.message
@@ -138,7 +134,7 @@ class RigLink:
 
     def _begin(self, memory: SharedMemory, path: Path) -> None:
         self._forget()
-        self._memory, self._limits = memory, self._interlock.limits
+        self.memory, self._limits = memory, self._interlock.limits
         memory.beat(BACKEND_BEAT)
         self._child = child = subprocess.Popen(
             [sys.executable, "-m", "touchdown.backend.rig.process"],
@@ -216,7 +212,7 @@ class RigLink:
 
     def stop(self) -> None:
         """STOP, by shared memory and by message; does not wait."""
-        memory, channel = self._memory, self._channel
+        memory, channel = self.memory, self._channel
         if memory is None or channel is None or self._child is None:
             return
         with self._counting:
@@ -234,7 +230,7 @@ class RigLink:
 
     def settle(self) -> None:
         """Discard the positions received so far and wait for the next one."""
-        memory = self._memory
+        memory = self.memory
         if memory is None:
             return
         with self._copying:
@@ -247,7 +243,7 @@ class RigLink:
 
     def row(self, device: str) -> Mapping[str, Any]:
         """Return the state of a device, empty while there is no rig."""
-        memory = self._memory
+        memory = self.memory
         if memory is not None and self._child is not None and memory.count(STATE) != self._seen:
             seen = memory.count(STATE)
             rows = memory.seen()

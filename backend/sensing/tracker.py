@@ -240,7 +240,8 @@ class MarkerTracker:
     def __init__(self, finger: Finger, reference: TactileReference | None = None) -> None:
         self.finger = finger
         self.grid: GridReport = NO_GRID
-        self._reference: TactileReference | None = None
+        # Rest positions from which displacements are measured.
+        self.reference: TactileReference | None = None
         self._detector = Detector()
         self._locked = False
         self._position = _straight_grid()
@@ -256,14 +257,9 @@ class MarkerTracker:
         if reference is not None:
             self.set_reference(reference)
 
-    @property
-    def reference(self) -> TactileReference | None:
-        """Rest positions from which displacements are measured."""
-        return self._reference
-
     def set_reference(self, reference: TactileReference) -> None:
         """Measure displacements from ``reference`` from now on."""
-        self._reference = reference
+        self.reference = reference
         self._hidden = HiddenMarkers(reference.position_px)
         if not self._locked:
             self._position = reference.position_px.copy()
@@ -395,9 +391,9 @@ class MarkerTracker:
         good = self._looks.recognise(found, centres.looks, np.ones(len(found), dtype=bool))
         place, seen = np.zeros((MARKERS, 2)), np.zeros(MARKERS, dtype=bool)
         place[found], seen[found] = centres.position_px, good
-        rest = self._reference.position_px if self._reference else _straight_grid()
+        rest = self.reference.position_px if self.reference else _straight_grid()
         self._position = rest + self._hidden.carry(place - rest, seen)
-        if self._reference is None:
+        if self.reference is None:
             self._hidden = HiddenMarkers(self._position)
         self._was_seen = np.zeros(MARKERS, dtype=bool)
         return np.where(seen, index, _NO_BLOB)
@@ -468,8 +464,8 @@ class MarkerTracker:
             state[~self._was_seen] = MarkerState.INFERRED
             state[~self._was_seen & gone] = MarkerState.LOST
         displacement, residual = np.zeros((MARKERS, 2)), 0.0
-        if self._reference is not None and self._locked:
-            rest = self._reference.position_px
+        if self.reference is not None and self._locked:
+            rest = self.reference.position_px
             displacement = self._position - rest
             residual = fit_rigid(rest, displacement).residual_px
         return MarkerField(

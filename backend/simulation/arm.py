@@ -237,15 +237,13 @@ class ArmDrive:
 # Position (3,) of ``G``, mm, and rotation (3, 3) of the hand.
 HandPose = tuple[FloatArray, FloatArray]
 PoseCheck = Callable[[HandPose], Fault | None]
-# From joints (6,), rad, to the pose of the hand.
-ForwardKinematics = Callable[[FloatArray], HandPose]
 
 
 @dataclass(frozen=True, slots=True)
 class JointKinematics:
     """Forward kinematics and check of poses."""
 
-    chain: ForwardKinematics
+    chain: Callable[[FloatArray], HandPose]  # from joints (6,), rad
     allowed: PoseCheck
 
 

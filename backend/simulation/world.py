@@ -72,7 +72,7 @@ class World:
         self._cable = np.array(day.cable_n_mm) if np.any(day.cable_n_mm) else None
         self._cable_from_mm = self.drive.command_mm.copy()
         self._cameras = _cameras(scene, seeds.tolist())
-        self._holding: HeldPiece | None = None
+        self.holding: HeldPiece | None = None  # the present grip
         self._bottoms = scene.bottoms
         self._grips = 0
         self._rest = np.zeros(TIMELINE_VALUES)
@@ -94,14 +94,10 @@ class World:
         self.drive.run(program)
         return program
 
-    def follow(self, program: arm.SimProgram) -> None:
-        """Start a jog, or a program with rotation."""
-        self.drive.run(program)
-
     def press(self, law: PressCommand) -> arm.SimPress:
         """Start a press: a new probe, whose nuisances are drawn."""
-        if self._holding is not None:
-            self._holding.begin_probe(ProbeSettings(stiffness_n_mm=law.stiffness_n_mm))
+        if self.holding is not None:
+            self.holding.begin_probe(ProbeSettings(stiffness_n_mm=law.stiffness_n_mm))
         air_s, air_n = (np.concatenate(part) for part in zip(*self._air, strict=True))
         self._tare_n = float(np.mean(self._recent_n)) if self._recent_n else 0.0
         start_s = self.now_us * 1e-6
@@ -132,7 +128,7 @@ class World:
     def rests(self) -> bool:
         """True if the forces of the next cycles are those of the last one."""
         moving = self.drive.moving or self.jaws.moving or self._script.disturbances
-        return self._holding is None and not moving
+        return self.holding is None and not moving
 
     def step(self, watched: Collection[Finger] = FINGERS, cycles: int = 1) -> CycleRecord:
         """Advance by one cycle and return its record, with images of ``watched`` fingers only.
@@ -165,7 +161,7 @@ class World:
         )
         if not self._script.active("gripper", "stall", start_s):
             self._grasp(dt_s, command)
-        holding = self._holding
+        holding = self.holding
         if holding is not None and (turn_rad := self._script.turn_rad(start_s, end_us * 1e-6)):
             holding.turn(turn_rad)
         self._values = self._rest if holding is None else holding.solve(command, dt_s)
@@ -186,18 +182,13 @@ class World:
             margin_mm=ground_truth.true_margin_mm(self._scene_now(), offset, yaw),
             stands=False if self.knocked_over else None,
             fall=None,
-            slip_mm=0.0 if self._holding is None else self._holding.slip_mm,
+            slip_mm=0.0 if self.holding is None else self.holding.slip_mm,
             knocked_over=self.knocked_over,
         )
 
-    @property
-    def holding(self) -> HeldPiece | None:
-        """The present grip, None if the jaws hold nothing."""
-        return self._holding
-
     def clear_mm(self, position_mm: FloatArray) -> float:
         """Return the height of the face of a held piece above first touch."""
-        holding = self._holding
+        holding = self.holding
         touch = self.scene.grip_height_mm if holding is None else holding.touch_height_mm
         return float(position_mm[2]) - touch
 
@@ -210,30 +201,30 @@ class World:
     # -- inside -----------------------------------------------------------------------------------
 
     def _placed(self) -> tuple[tuple[float, float], float]:
-        if self._holding is not None:
-            return self._holding.offset_mm(self.drive.command_mm), self._holding.gripping.yaw_rad
+        if self.holding is not None:
+            return self.holding.offset_mm(self.drive.command_mm), self.holding.gripping.yaw_rad
         if self._put_down is not None:
             return self._put_down
         return self.scene.start_mm, 0.0
 
     def _scene_now(self) -> Scene:
         """Return the scene with its bottoms where they slid to."""
-        holding = self._holding
+        holding = self.holding
         bottoms = self._bottoms if holding is None else holding.bottoms
         return self.scene if bottoms is self.scene.bottoms else replace(self.scene, bottoms=bottoms)
 
     def _grasp(self, dt_s: float, command: FloatArray) -> None:
         change = self.jaws.step(dt_s)
         if change.taken:
-            self._holding = HeldPiece(self.scene, self._grips, self.jaws.force_n, self._bottoms)
+            self.holding = HeldPiece(self.scene, self._grips, self.jaws.force_n, self._bottoms)
             self._grips += 1
-        elif change.let_go and self._holding is not None:
-            self._bottoms = self._holding.bottoms
-            self._release(self._holding, command)
+        elif change.let_go and self.holding is not None:
+            self._bottoms = self.holding.bottoms
+            self._release(self.holding, command)
 
     def _release(self, holding: HeldPiece, command: FloatArray) -> None:
         if self.scene.jig and np.abs(command - start_command_mm(self.scene)).max() <= JIG_MM:
-            self._holding = None
+            self.holding = None
             return
         offset, yaw = holding.offset_mm(command), holding.gripping.yaw_rad
         kick = ground_truth.release_kick_mm(self.scene, self._grips)
@@ -245,7 +236,7 @@ class World:
             offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over,
             kick_mm=math.hypot(*kick),
         )  # fmt: skip
-        self._holding = None
+        self.holding = None
         # A trial ends with its release: the piece is not gripped again.
         self.jaws.piece_present = False
 
@@ -261,7 +252,7 @@ class World:
         return self._final or final
 
     def _watch_dragging(self, command: FloatArray) -> None:
-        holding = self._holding
+        holding = self.holding
         if holding is None or self.scene.bottoms.bodies[-1].fixed:
             return
         if self.scene.settings.support.rocks:
@@ -275,19 +266,19 @@ class World:
         if turn is not IDENTITY_ROTATION:
             # The hand rotates in air only, without a contact wrench.
             weights = self._wrist.payload.wrench_g(turn)
-            if self._holding is not None:
-                weights = weights + self._holding.weight.wrench_g(turn)
+            if self.holding is not None:
+                weights = weights + self.holding.weight.wrench_g(turn)
             return values[:6] + weights
         load = values[:6] + self._wrist.payload_g
         if self._cable is not None:
             travel = self.drive.command_mm - self._cable_from_mm
             height_mm = self.scene.settings.wrist.cable_height_mm
             load = load + cable_wrench(self._cable, travel, height_mm)
-        return load if self._holding is None else load + self._holding.weight_g
+        return load if self.holding is None else load + self.holding.weight_g
 
     def _field(self, values: FloatArray) -> FloatArray:
         """Return (2, 63, 2) marker displacements in px, gain included."""
-        holding = self._holding
+        holding = self.holding
         if holding is None:
             return self._empty_px(self.jaws.force_n, max(self.jaws.asked_n, self.jaws.force_n))
         field = self._gel.displacement_px(
@@ -297,22 +288,22 @@ class World:
 
     def _bias_px(self, finger: int) -> FloatArray:
         """Return the creep since the reference, zero between probes."""
-        holding = self._holding
+        holding = self.holding
         if holding is None or not holding.sensed:
             return np.zeros(2)
         return np.asarray(holding.conditions.bias_px[0, finger])
 
     def _sensor_offset(self) -> FloatArray:
-        holding = self._holding
+        holding = self.holding
         if holding is None or not holding.sensed:
             return np.zeros(6)
         return np.asarray(holding.conditions.ft_offset[0])
 
     def _measured_mm(self, command: FloatArray) -> FloatArray:
         """Return the measured ``G`` of the compliant arm under the contact force."""
-        if self._holding is None:
+        if self.holding is None:
             return command
-        return np.asarray(command + self._values[:3] / self._holding.conditions.robot_n_mm[0])
+        return np.asarray(command + self._values[:3] / self.holding.conditions.robot_n_mm[0])
 
 
 def _empty_px(gel: Gel, force_n: float, asked_n: float) -> FloatArray:

@@ -82,11 +82,6 @@ class SampleClock:
         self._chunk = -1
         self._late: _LatePeriod | None = None
 
-    @property
-    def period_s(self) -> float:
-        """Fitted or nominal sample period, s."""
-        return self._period_s
-
     def taken_s(self, numbers: FloatArray) -> FloatArray:
         """Return the sampling times (n,) of samples with these numbers, s."""
         return np.asarray(self._offset_s + self._period_s * numbers)

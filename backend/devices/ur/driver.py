@@ -369,7 +369,7 @@ class UrArm:
             try:
                 self._look(robot, now_s)
                 if self._stop_asked.is_set():
-                    self._take_stop(robot)
+                    self._take_stop()
                 elif self.fault is None:
                     self._command(robot, now_s)
                 robot.control.kickWatchdog()
@@ -379,13 +379,13 @@ class UrArm:
     def _fail(self, robot: rtde.UrConnections, error: FaultError | RuntimeError) -> None:
         if self._stop_asked.is_set():
             # A stop came during this cycle: it is the reason of the controller's refusal.
-            self._take_stop(robot)
+            self._take_stop()
         elif isinstance(error, FaultError):
             self._latch(robot, error.fault)
         else:
             self._latch(robot, link_fault(f"The robot does not answer: {error}."))
 
-    def _take_stop(self, robot: rtde.UrConnections) -> None:
+    def _take_stop(self) -> None:
         """Handle a sent STOP; the caller holds the lock."""
         self._stop_asked.clear()
         self._retreat_asked.clear()
@@ -565,7 +565,7 @@ class UrArm:
             if self._stops != stops:  # a stop came after the command
                 raise FaultError(STOPPED)
             if self._stop_asked.is_set():
-                self._take_stop(robot)
+                self._take_stop()
             if self._script_ended:
                 self._send_script(robot)
         return robot

@@ -316,7 +316,7 @@ class SimArm(SimDevice):
         if fault is not None:
             motion.end(fault)
             return motion
-        self._world.follow(program)
+        self._world.drive.run(program)
         return self._take(motion, program)
 
     def _going_on(
@@ -327,7 +327,7 @@ class SimArm(SimDevice):
         if isinstance(program, kind) and not program.done and motion is not None:
             return program, motion
         made = make()
-        self._world.follow(made)
+        self._world.drive.run(made)
         return made, self._take(CommandedMotion(sent), made)
 
     def _take(self, motion: CommandedMotion, program: SimProgram) -> CommandedMotion:

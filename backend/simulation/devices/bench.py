@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import (
     FINGERS,
     Decimator,
@@ -53,11 +52,6 @@ class SimulatedBench:
             finger: SimTactile(finger, streams.frames[finger], now_s, self._script)
             for finger in FINGERS
         }
-
-    @property
-    def settings(self) -> SimulationSettings:
-        """Settings of the scene."""
-        return self.scene.settings
 
     @property
     def devices(self) -> Mapping[str, Device]:

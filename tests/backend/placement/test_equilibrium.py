@@ -588,7 +588,7 @@ def test_a_quarter_turn_turns_everything():
 def test_without_contact_there_is_no_hull():
     apart = resting_contact(POT, (0.0, 0.0), circle(15.0), (40.0, 0.0))
     assert (apart.support, apart.margin_mm, apart.stable) == (SupportKind.NONE, -math.inf, False)
-    assert apart.share == 0.0
+    assert not apart.touching.any()
 
 
 def test_near_the_edge_nobody_can_say():

@@ -353,7 +353,9 @@ class LabelPresenter:
         if waiting := self.saving.waiting:
             page.banner.show_trouble(_waiting_words(waiting), waits=True)
         else:
-            page.banner.show_trouble(failure)
+            # The label itself is saved then; only its second copy is missing.
+            lags = self.book.journal_trouble or self.dataset.backup_trouble
+            page.banner.show_trouble(failure or lags, waits=not failure, saved=not failure)
         page.view.editable = now is not None and not failure
         if now is None:
             page.strip.show_label("", (), "")

@@ -426,9 +426,13 @@ class UnsavedBanner(QFrame):
         self.discard.clicked.connect(discard)
         self.hide()
 
-    def show_trouble(self, what: str, *, waits: bool = False) -> None:
-        """Show the reason; "" hides the banner. ``waits``: saving is retried automatically."""
-        self.text.setText(base.tr("Not saved: {}", what) if what else "")
+    def show_trouble(self, what: str, *, waits: bool = False, saved: bool = False) -> None:
+        """Show the reason; "" hides the banner. ``waits``: saving is retried automatically.
+
+        ``saved``: the label is saved, but its second copy in the journal or the backup is not.
+        """
+        second = base.tr("The label is saved, but has no second copy: {}", what)
+        self.text.setText((second if saved else base.tr("Not saved: {}", what)) if what else "")
         for button in (self.again, self.discard):
             button.setVisible(not waits)
         appears = bool(what) and self.isHidden()

@@ -77,6 +77,23 @@ def test_what_the_database_raises_is_shown_as_well(desk, monkeypatch):
     assert "disk I/O error" in desk.page.banner.text.text()
 
 
+def test_a_label_without_a_second_copy_is_saved_and_said_to_have_none(desk, monkeypatch):
+    def fail(*_args):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(type(desk.workspace.presenter.dataset.journal), "catch_up", fail)
+        uuid = desk.uuid
+        desk.do(KEY.Key_Return)
+        assert desk.book.head(uuid).state == "submitted"
+        assert desk.uuid != uuid
+        assert desk.page.banner.text.text().startswith("The label is saved")
+        assert "No space left on device" in desk.page.banner.text.text()
+        assert not desk.page.banner.again.isVisible()
+    desk.do(KEY.Key_Return)
+    assert not desk.page.banner.isVisible()
+
+
 @pytest.mark.promise("D4")
 def test_what_waits_for_another_program_is_counted_and_done_in_order(desk, qtbot):
     """A second connection holds the dataset; each try gives up after 20 ms instead of 2 s."""

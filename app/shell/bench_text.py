@@ -12,6 +12,7 @@ from touchdown.backend.learning import ModelCard, ModelRegistry, load_card, pret
 from touchdown.backend.learning.fused import shipped_fused
 from touchdown.backend.runs import models_folder
 from touchdown.widgets.base import count_noun, tr
+from touchdown.widgets.forms import MODALITIES
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +53,6 @@ def piece_titles(catalogue: PieceLibrary) -> tuple[list[tuple[str, str]], list[t
 def tower_text(*names: str) -> str:
     """Return pieces from the top down: "pot on short on long"."""
     return reduce(lambda above, below: tr("{} on {}", above, below), names)
-
-
-MODALITY_NAMES = {"FT+Tac": "touch and wrench", "Tac": "touch", "FT": "the wrench"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +112,7 @@ def card_caption(card: ModelCard) -> ModelCaption:
     whence = tr("the one that ships") if _is_shipped(card) else tr("promoted in Train")
     lines = (
         tr("Model {} for {}, {}.", card.weights_sha256[:12], card.piece, whence),
-        tr("It sees {}.", tr(MODALITY_NAMES[card.modality])),
+        tr("Sees: {}.", tr(dict(MODALITIES)[card.modality])),
         tr("Trained on {} ({}).", trained, kind) if trained else "",
         pretraining_text(card),
         tr("{} on the probes that were held out.", iou) if iou else "",

@@ -327,12 +327,13 @@ class TrainPresenter:
         use, card = self.in_use, None if run is None else run.card
         used = card is not None and use is not None and words.is_in_use(card, use)
         page.promote.setEnabled(card is not None and not used)
-        one = tr("Choose one training to promote it.") if run is None and self.runs else ""
+        one = tr("Train again, or choose one to promote it.") if run is None and self.runs else ""
         page.promote.setToolTip(one or tr("Put the chosen model in use for its piece (Ctrl+P)"))
         page.roll_back.setEnabled(use is not None and use.before is not None)
         page.in_use.setText(words.model_in_use_text(use))
         alone = words.autonomy_text(use.probes if use else None)
-        page.autonomy.setText(f"{alone} {one}".strip())
+        compared = words.comparison_text(self._chosen(), use)
+        page.autonomy.setText(f"{alone}\n{compared} {one}".strip())
         for line in (page.in_use, page.autonomy):
             line.setVisible(bool(line.text()))
 
@@ -394,11 +395,9 @@ class TrainPresenter:
             if number == self._shown:
                 page.samples.show_scenes(scenes, "This training stored no samples.")
 
-        def none(error: Exception) -> None:
-            page.samples.show_scenes((), str(error))
-
-        run = chosen[0]
-        self._worker.submit(lambda: sample_scenes(run), show, none)
+        self._worker.submit(
+            lambda: sample_scenes(chosen[0]), show, lambda e: page.samples.show_scenes((), str(e))
+        )
 
     def _show_progress(self, text: str) -> None:
         self._page.curves_panel.detail.setText(tr(text))

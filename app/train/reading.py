@@ -113,7 +113,9 @@ class TrainingReader:
         return self._found
 
 
-REVIEW_HINT = "Accept labels in Label (Ctrl+2); somebody else approves them there."
+REVIEW_HINT = (
+    "No label is approved yet. Accept labels in Label (Ctrl+2); another person approves them there."
+)
 
 
 def _label_hint(form: TrainingForm) -> str:
@@ -122,9 +124,9 @@ def _label_hint(form: TrainingForm) -> str:
     for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)
         if count := len(learning.training_candidates(Path(form.data), labels)):
-            would = tr("Labels '{}' would give {}.", tr(text), count_noun(count, "episode"))
-            return f"{tr('No label counts yet.')} {would} {tr(REVIEW_HINT)}"
-    return f"{tr('No label counts yet.')} {tr(REVIEW_HINT)}"
+            alone = "{} To train alone, choose Labels '{}': {}."
+            return tr(alone, tr(REVIEW_HINT), tr(text), count_noun(count, "episode"))
+    return tr(REVIEW_HINT)
 
 
 def sample_scenes(run: learning.TrainingRun) -> list[SampleScene]:

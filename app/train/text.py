@@ -20,12 +20,19 @@ from touchdown.backend.learning import (
     TrainingSetOverview,
 )
 from touchdown.widgets.base import count_noun, tr
+from touchdown.widgets.forms import MODALITIES
 from touchdown.widgets.lists import TrainingRow
 from touchdown.widgets.plots import RUN_COLOURS, CurveLine
 from touchdown.widgets.shell import CardText
 
 LETTERS = ("A", "B", "C")
 THIN_TEST = 100  # fewer held-out probes say little about a model
+WORSE, FEW = "It is worse.", "It was tested on few probes."
+COMPARED = {
+    "": "Above the model in use (IoU {:.0f} %): {}.",
+    FEW: "Above the model in use (IoU {:.0f} %), but tested on few probes: {}.",
+    WORSE: "Below the model in use (IoU {:.0f} %): {}.",
+}
 NOTHING = "\N{EN DASH}"
 SETTINGS = {
     "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
@@ -52,7 +59,7 @@ def run_row(run: TrainingRun, in_use: ModelInUse | None, marks: Mapping[str, str
     cells = (
         f"{mark}{day}{began:%H:%M:%S} {run.piece or '?'}",
         tr("in use" if used else run.state),
-        str(run.about.params.get("modality", "?")),
+        _setting(run.about.params.get("modality", "?")),
         _per_cent(run.value("iou", run.best_epoch)),
     )
     return TrainingRow(run.uuid, cells)
@@ -79,21 +86,36 @@ def model_in_use_text(in_use: ModelInUse | None) -> str:
 
 def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
     """Return the question before a model is put in use, "" if it is good and well tested."""
-    iou, held_out = _test(card)
-    if used is None:
+    if used is None or not (shortfall := _shortfall(card, used)):
         return ""
-    used_iou, used_held_out = _test(used)
-    worse, thin = iou < used_iou, held_out < min(THIN_TEST, used_held_out)
-    if not worse and not thin:
-        return ""
+    (iou, held_out), (used_iou, used_held_out) = _test(card), _test(used)
     figures = "Its IoU is {:.0f} % on {} held out; the model in use has {:.0f} % on {}."
     said = (
         tr("Put this model in use for {}?", card.piece),
-        tr("It is worse." if worse else "It was tested on few probes."),
+        tr(shortfall),
         tr(figures, 100 * iou, count_noun(held_out, "probe"), 100 * used_iou,
            count_noun(used_held_out, "probe")),
     )  # fmt: skip
     return " ".join(said)
+
+
+def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> str:
+    """Return how finished trainings compare with the model in use, "" if its IoU is unknown."""
+    used = None if in_use is None else in_use.card
+    if in_use is None or used is None or not _test(used)[1]:
+        return ""
+    found = {text: list[str]() for text in COMPARED.values()}
+    for mark, run in zip(LETTERS if len(runs) > 1 else (tr("this training"),), runs, strict=False):
+        if run.card and run.card.piece == in_use.piece and not is_in_use(run.card, in_use):
+            found[COMPARED[_shortfall(run.card, used)]].append(mark)
+    percent = 100 * _test(used)[0]
+    return " ".join(tr(text, percent, ", ".join(marks)) for text, marks in found.items() if marks)
+
+
+def _shortfall(card: ModelCard, used: ModelCard) -> str:
+    """Return why a model may be worse than the one in use, "" if it is good and well tested."""
+    (iou, held_out), (used_iou, used_held_out) = _test(card), _test(used)
+    return WORSE if iou < used_iou else FEW if held_out < min(THIN_TEST, used_held_out) else ""
 
 
 def ended_text(card: ModelCard) -> str:
@@ -136,13 +158,9 @@ def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
 def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
     """Return a metric of the chosen runs; for a single one, the loss of both sides."""
     if len(runs) == 1 and name == "validation_loss":
-        curves = runs[0].curves
-        return [
-            CurveLine(
-                tr("train"), _points(curves.get("train_loss", ())), RUN_COLOURS[1], dashed=True
-            ),
-            CurveLine(tr("valid."), _points(curves.get(name, ())), RUN_COLOURS[0]),
-        ]
+        train, valid = (_points(runs[0].curves.get(key, ())) for key in ("train_loss", name))
+        return [CurveLine(tr("train"), train, RUN_COLOURS[1], dashed=True),
+                CurveLine(tr("valid."), valid, RUN_COLOURS[0])]  # fmt: skip
     marks = LETTERS if len(runs) > 1 else ("",)
     return [
         CurveLine(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
@@ -243,7 +261,8 @@ def _per_cent(value: float) -> str:
 def _setting(value: object) -> str:
     if isinstance(value, bool):
         return tr("yes" if value else "no")
-    return f"{value:g}" if isinstance(value, float) else tr(str(value))
+    name = f"{value:g}" if isinstance(value, float) else str(value)
+    return tr(dict(MODALITIES).get(name, name))
 
 
 def _model(sha256: str) -> str:

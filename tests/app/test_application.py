@@ -397,11 +397,13 @@ def test_train_compare_promote_and_roll_back(desk):
     page.runs.choose([wrench.uuid, both.uuid])
     desk.settle()
     assert [row for row in page.differences.texts() if row[0] == "sees"] == [
-        ["sees", "FT", "FT+Tac"]
+        ["sees", "Wrench only", "Touch + wrench"]
     ]
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
-    assert "Choose one training to promote it." in page.autonomy.text()
+    assert page.autonomy.text().endswith("): A, B. Train again, or choose one to promote it."), (
+        "both are compared with the model in use"
+    )
     assert "choose one to see its samples" in page.samples._why
 
     registry = ModelRegistry(models_folder())

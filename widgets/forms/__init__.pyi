@@ -25,6 +25,7 @@ from .run_form import RunForm as RunForm
 from .run_form import RunPanel as RunPanel
 from .run_form import ScenePanel as ScenePanel
 from .training_form import LABEL_TITLES as LABEL_TITLES
+from .training_form import MODALITIES as MODALITIES
 from .training_form import TrainingButtons as TrainingButtons
 from .training_form import TrainingForm as TrainingForm
 from .training_form import TrainingFormPanel as TrainingFormPanel

@@ -24,7 +24,7 @@ LABEL_TITLES = (
     ("drafts", "All, with drafts"),
 )
 LEAST_PX = 72
-MODALITIES = (("FT+Tac", "Touch and wrench"), ("Tac", "Touch only"), ("FT", "Wrench only"))
+MODALITIES = (("FT+Tac", "Touch + wrench"), ("Tac", "Touch only"), ("FT", "Wrench only"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TrainingFormPanel(Panel):
         )  # fmt: skip
         self.start, self.cancel = QPushButton(tr("Start training")), QPushButton(tr("Cancel"))
         self.resume, self.defaults = QPushButton(tr("Resume")), QToolButton()
-        self.why_not = label("", "small", wrap=True)
+        self.why_not = label("", wrap=True)
         self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
         self.defaults.setText(tr("Defaults"))

@@ -7,9 +7,11 @@ import pytest
 
 from tests.app.conftest import settle
 from tests.backend.annotations.conftest import context_for, small_episode
+from tests.widgets.views.test_belief import is_colour, pixels
 from touchdown.app.train.reading import ModelInUse, TrainingReader
 from touchdown.app.train.text import (
     autonomy_text,
+    comparison_text,
     figure_rows,
     model_in_use_text,
     promotion_question,
@@ -32,8 +34,8 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
     with Dataset.open(tmp_path / "data", person="ann") as dataset:
         assert told() == (
-            "No label counts yet. Accept labels in Label (Ctrl+2); somebody else approves them "
-            "there."
+            "No label is approved yet. Accept labels in Label (Ctrl+2); another person approves "
+            "them there."
         )
         context = context_for(dataset)
         uuids = [
@@ -42,12 +44,10 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
             ).uuid
             for k in range(3)
         ]
-        assert told().startswith(
-            "No label counts yet. Labels 'All, with drafts' would give 3 episodes. Accept"
-        )
+        assert told().endswith("To train alone, choose Labels 'All, with drafts': 3 episodes.")
         assert told("drafts") == ""
         dataset.labels.accept("ann", uuids[0])
-        assert "Labels 'Approved and submitted' would give 1 episode." in told()
+        assert told().endswith("choose Labels 'Approved and submitted': 1 episode.")
         dataset.labels.approve("bob", uuids[0])
         assert told() == ""
 
@@ -115,6 +115,27 @@ def test_a_model_that_is_worse_or_hardly_tested_is_questioned_with_its_figures(
         assert "75 % on 1,200 probes" in said
 
 
+def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
+    def card(iou, held_out=1200, piece="pot", sha256="x"):
+        metrics, data = {"validation": {"iou": iou}}, {"held_out": held_out}
+        return SimpleNamespace(piece=piece, weights_sha256=sha256, metrics=metrics, data=data)
+
+    def said(*cards, used):
+        runs = [SimpleNamespace(card=one) for one in cards]
+        return comparison_text(runs, ModelInUse("pot", "used", None, 0, card=used))
+
+    used = card(0.75)
+    assert said(card(0.4), card(0.7), used=used) == "Below the model in use (IoU 75 %): A, B."
+    assert said(card(0.4), used=used) == "Below the model in use (IoU 75 %): this training."
+    assert said(card(0.8), card(0.4), card(0.8, 6), used=used) == (
+        "Above the model in use (IoU 75 %): A. Above the model in use (IoU 75 %), but tested on "
+        "few probes: C. Below the model in use (IoU 75 %): B."
+    )
+    assert said(None, card(0.4, piece="mug"), card(0.75, sha256="used"), used=used) == ""
+    assert said(card(0.4), used=card(0.75, 0)) == said(card(0.4), used=None) == ""
+    assert comparison_text([SimpleNamespace(card=card(0.4))], None) == ""
+
+
 @pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])
 def test_a_model_of_simulations_says_what_it_lacks(probes):
     said = autonomy_text(probes)
@@ -138,12 +159,27 @@ def test_rows_of_a_table_follow_the_text_down_as_well_as_up(qapp, qtbot):
     assert heights[0] == heights[2] < heights[1]
 
 
+def test_a_row_with_a_cross_has_the_colour_of_an_error_in_every_theme(qapp, qtbot):
+    load_resources()
+    theme = Theme()
+    table = FigureTable(theme, "Figures", ("quantity", "value"))
+    qtbot.addWidget(table)
+    table.resize(300, 200)
+    table.show_rows([("\N{MULTIPLICATION X} noise", "888"), ("drift", "888")])
+    for name in ("dark", "light"):
+        theme.tokens = Theme(name).tokens
+        red = is_colour(pixels(table.viewport()), theme.tokens.colour("bad")).any(axis=1)
+        rows = [table.rowViewportPosition(row) for row in range(2)]
+        assert red[rows[0] : rows[1]].any()
+        assert not red[rows[1] :].any()
+
+
 def test_the_table_of_trainings_fits_a_window_of_1280_px(live):
     live.window.resize(1280, 720)
     live.go("train")
     settle(live)
     table = live.workspaces["train"].page.runs
-    table.show_runs([TrainingRow("a", ("B 19:51:30 barrel", "finished", "FT+Tac", "40.1"))])
+    table.show_runs([TrainingRow("a", ("B 19:51:30 barrel", "finished", "Touch + wrench", "40.1"))])
     settle(live)
     assert table.isVisible()
     assert table.horizontalScrollBar().maximum() == 0

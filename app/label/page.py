@@ -196,6 +196,7 @@ class LabelPage(QWidget):
         for button, name in zip(self.acts, ACTS.values(), strict=True):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.clicked.connect(partial(self.command_requested.emit, name))
+        self.acts[0].setProperty("role", "primary")
         self.basis, self.message = base.label("", "title", wrap=True), base.label("", wrap=True)
         self.verdict = base.ElidedLabel("")
         self.model_line, self.scene_line = (base.label("", "muted", wrap=True) for _ in range(2))

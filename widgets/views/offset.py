@@ -101,16 +101,15 @@ def offset_text(offset_mm: Point | None, sigma_mm: float = 0.0) -> str:
     return f"x {x}, y {y} mm{spread}"
 
 
-# Line style and colour of a source, and the angle on its outline at which it is labelled, rad.
-GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str, float]] = {
-    "commanded": (Qt.PenStyle.DashLine, "muted", 2.1),
-    "measured": (Qt.PenStyle.DotLine, "axis_y", 3.9),
-    "scene": (Qt.PenStyle.DashDotDotLine, "scene", 1.0),
-    "model": (Qt.PenStyle.DashDotLine, "axis_z", -0.6),
+# Line style and colour of a source.
+GHOST_STYLES: dict[GhostKind, tuple[Qt.PenStyle, str]] = {
+    "commanded": (Qt.PenStyle.DashLine, "muted"),
+    "measured": (Qt.PenStyle.DotLine, "axis_y"),
+    "scene": (Qt.PenStyle.DashDotDotLine, "scene"),
+    "model": (Qt.PenStyle.DashDotLine, "axis_z"),
 }
 SCALE_BARS = 7  # of them fill the width
-SAMPLE_PX = 20  # line of a source in the legend
-ROOMY_PX = 400  # in narrower pictures, the legend alone names the sources
+SAMPLE_PX = 6  # height of the line of a source in the legend
 THICKEN_PX = 0.3
 
 
@@ -140,9 +139,8 @@ def draw_bottom(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, the
 
 
 def draw_ghosts(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
-    """Draw the face positions of other sources: outline, uncertainty, name."""
+    """Draw the face positions of other sources: outline and uncertainty."""
     painter.setBrush(Qt.BrushStyle.NoBrush)
-    painter.setFont(ui_font(theme.scale, 0.85, 500))
     for ghost in scene.ghosts:
         painter.setPen(ghost_pen(ghost.kind, theme))
         outline = _placed(area, scene.face, ghost.offset_mm, scene.yaw_rad)
@@ -150,28 +148,11 @@ def draw_ghosts(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, the
         plots.draw_rings(painter, outline)
         plots.draw_rings(painter, outline + THICKEN_PX)
         _sigma_circle(painter, area, ghost.offset_mm, ghost.sigma_mm)
-        _letters(painter, area, scene, ghost)
-
-
-def _letters(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, ghost: Ghost) -> None:
-    """Write the source beside its outline, each source on another side, inside the picture."""
-    turn, inside = GHOST_STYLES[ghost.kind][2], area.rect
-    if inside.width() <= ROOMY_PX:
-        return
-    name = tr(ghost.kind)
-    radius = float(np.nanmax(np.hypot(*scene.face.T)))
-    x = area.x(ghost.offset_mm[0] + radius * math.cos(turn))
-    y = area.y(ghost.offset_mm[1] + radius * math.sin(turn))
-    box = QRectF(painter.fontMetrics().boundingRect(name)).adjusted(0, 0, 2, 0)
-    reach_x, reach_y = box.width() / 2 + 4, box.height() / 2 + 2
-    box.moveCenter(QPointF(x + reach_x * math.cos(turn), y - reach_y * math.sin(turn)))
-    box.moveLeft(max(min(box.left(), inside.right() - box.width()), inside.left()))
-    painter.drawText(box, int(Qt.AlignmentFlag.AlignCenter), name)
 
 
 def ghost_pen(kind: GhostKind, theme: Theme) -> QPen:
     """Return the pen of a source."""
-    style, token, _ = GHOST_STYLES[kind]
+    style, token = GHOST_STYLES[kind]
     return QPen(theme.tokens.colour(token), 1, style)
 
 
@@ -187,16 +168,16 @@ class SourceBox(QCheckBox):
         self.toggled.connect(view.update)
 
     def sizeHint(self) -> QSize:
-        """Return the usual size and the length of the line."""
-        return super().sizeHint() + QSize(SAMPLE_PX + 8, 0)
+        """Return the usual size and the height of the line."""
+        return super().sizeHint() + QSize(0, SAMPLE_PX)
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw the line after the name."""
+        """Draw the line below the name."""
         super().paintEvent(event)
-        painter, middle = QPainter(self), self.height() // 2
+        painter = QPainter(self)
         painter.setPen(ghost_pen(self._kind, self._theme))
-        for y in (middle, middle + 1):
-            painter.drawLine(self.width() - SAMPLE_PX, y, self.width(), y)
+        for y in (self.height() - 3, self.height() - 2):
+            painter.drawLine(0, y, self.width(), y)
 
 
 def draw_face(painter: QPainter, area: plots.PlotArea, scene: OffsetScene, theme: Theme) -> None:
@@ -297,31 +278,29 @@ class OffsetView(plots.PictureView):
         self.update()
 
     def resizeEvent(self, _event: QResizeEvent) -> None:
-        """Keep the legend in its corner."""
+        """Keep the legend beside the square."""
         self._place_legend()
 
     def _place_legend(self) -> None:
-        """List the sources in a corner away from the face, clear of axis names and scale bar."""
+        """List the sources right of the square, where they cover no outline."""
         kinds = {ghost.kind for ghost in self.scene.ghosts} if self.scene else set()
-        x_mm, y_mm = (self.scene.offset_mm if self.scene else None) or (0.0, 0.0)
-        # Without the scale bar, at the lower right, the list stands lower, left of the axis name.
-        left, rect, em = x_mm > max(2 * y_mm, 0), self.area().rect, self.fontMetrics().height()
-        y = rect.top() + (1.3 * em if left else 4)
-        if y_mm > 0:
-            rows = sum(self.legend[kind].sizeHint().height() for kind in kinds)
-            y = max(y, rect.bottom() - rows - (3.6 if left else 1.4) * em)
-        width = max(box.sizeHint().width() for box in self.legend.values())
-        x = rect.left() + 6 if left else rect.right() - width - (3.4 * em if y_mm > 0 else 6)
+        em, width = self.fontMetrics().height(), self._legend_px()
+        x, y = self.area().rect.right() + 0.4 * em, self.area().rect.top()
         for kind, box in self.legend.items():
             box.setVisible(kind in kinds)
             box.setGeometry(round(x), round(y), width, box.sizeHint().height())
             y += box.height() * (kind in kinds)
-        self._label_at = QRectF(x, y + 4, width, self.fontMetrics().height())
+        self._label_at = QRectF(x, y, width, em)
+
+    def _legend_px(self) -> int:
+        """Return the width of the legend, 0 in pictures that name bottom and face."""
+        named = self.scene is None or self.scene.names is not None
+        return 0 if named else max(box.sizeHint().width() for box in self.legend.values())
 
     def area(self) -> plots.PlotArea:
         """Return the drawn square with its visible part."""
         em = self.fontMetrics().height()
-        margins = QMarginsF(2.4 * em, 0.4 * em, 0.4 * em, 1.5 * em)
+        margins = QMarginsF(2.4 * em, 0.4 * em, 0.4 * em + self._legend_px(), 1.5 * em)
         reach = self._reach_mm
         square = plots.centred_square(self.size(), margins, 60.0)
         return self.zoom.of(plots.PlotArea(square, -reach, reach, -reach, reach))
@@ -367,10 +346,11 @@ class OffsetView(plots.PictureView):
         draw_face(painter, area, self.scene, self._theme)
         draw_names(painter, area, self.scene, self._theme)
         if self.scene.ghosts and self.scene.offset_mm is not None:
-            box, middle = self._label_at, self._label_at.center().y()
+            painter.setClipping(False)
             painter.setPen(QPen(self._theme.tokens.colour("text"), 2))
+            box, below = self._label_at, QPointF(0, SAMPLE_PX - 2)
             painter.drawText(box.adjusted(1.3 * box.height(), 0, 0, 0), 0, tr("label"))
-            painter.drawLine(QPointF(box.right() - SAMPLE_PX, middle), QPointF(box.right(), middle))
+            painter.drawLine(box.bottomLeft() + below, box.bottomRight() + below)
 
     def _background(self, scene: OffsetScene, area: plots.PlotArea) -> QPixmap:
         """Return the background with the ghosts; rendered once per episode."""

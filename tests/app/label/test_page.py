@@ -141,6 +141,7 @@ def test_the_main_acts_have_buttons_with_their_keys(desk):
     texts = [button.text() for button in desk.page.acts]
     assert texts == ["Accept  (Enter)", "Reject  (D)", "Flag  (X)", "Skip  (PgDown)"]
     accept, reject = desk.page.acts[:2]
+    assert (accept.property("role"), reject.property("role")) == ("primary", None)
     reject.click()
     assert desk.page.choice.isVisible()
     accept.click()

@@ -144,9 +144,18 @@ class TestOffsetView:
             seen = count(view, colours[kind])
             box.click()
             # What stays is the line in the legend.
-            assert count(view, colours[kind]) < seen - 40
+            assert count(view, colours[kind]) < seen - 25
         view.show_scene(scene((8.0, 0.0)))
         assert not any(box.isVisible() for box in view.legend.values())
+
+    @pytest.mark.parametrize("size", [(300, 300), (420, 300), (300, 420), (900, 500)])
+    def test_the_legend_covers_no_outline(self, view, size):
+        view.resize(*size)
+        view.show_scene(scene((4.0, -7.0), (Ghost("measured", (4.0, -7.0), 0.2),)))
+        box = view.legend["measured"].geometry()
+        assert view.area().rect.right() <= box.left() <= box.right() <= view.width()
+        assert view.area().rect.right() <= view._label_at.left()
+        assert box.bottom() <= view._label_at.top()
 
     def test_a_zoomed_face_is_still_dragged_and_the_middle_button_moves_the_picture(self, view):
         view.show_scene(scene((2.0, 1.0)))

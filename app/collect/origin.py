@@ -5,11 +5,9 @@ from __future__ import annotations
 import shutil
 from collections import deque
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 from touchdown.app.shell import duration_text
-from touchdown.backend.core import OriginChecked
 from touchdown.widgets.base import signed, tr
 
 WINDOW_S = 120.0  # time window of the recording rate
@@ -44,11 +42,10 @@ class RecorderGauge:
         except OSError as error:
             return tr("The disk does not answer: {}", error.strerror)
         rate = self.bytes_a_minute(now_s)
-        figures = free / 1e9, rate / 1e6
-        text = tr("{:.1f} GB free, {:.1f} MB/min", *figures)
+        text = tr("{:.1f} GB free", free / 1e9)
         if rate > 0:  # as short as its line in a narrow window
             lasts = duration_text(60.0 * free / rate)
-            text = tr("{:.1f} GB free, {} at {:.1f} MB/min", figures[0], lasts, figures[1])
+            text = tr("{:.1f} GB free, {} at {:.1f} MB/min", free / 1e9, lasts, rate / 1e6)
         return tr("Nearly full: {}", text) if free < LOW_BYTES else text
 
 
@@ -87,11 +84,6 @@ class OriginCheckNote:
     agrees: bool
     at: str
     used: bool = False
-
-    @classmethod
-    def of(cls, event: OriginChecked, at: datetime) -> OriginCheckNote:
-        """Return the note of a check made at ``at``."""
-        return cls(event.residual_mm, event.sigma_mm, event.agrees, f"{at:%Y-%m-%d %H:%M}")
 
 
 def residual_text(note: OriginCheckNote | None) -> str:

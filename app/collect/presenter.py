@@ -423,7 +423,9 @@ class CollectPresenter:
             self._asked = None
             self._page.target.detail.setText(tr(event.phase))
         elif isinstance(event, core.OriginChecked):
-            self.origin.show_note(OriginCheckNote.of(event, datetime.now()))
+            at = f"{datetime.now():%Y-%m-%d %H:%M}"
+            found = OriginCheckNote(event.residual_mm, event.sigma_mm, event.agrees, at)
+            self.origin.show_note(found)
 
     def _show_pair(self, piece: str, bottom: str) -> None:
         """Show the pair of the campaign that started."""

@@ -23,8 +23,8 @@ PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
 COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
     "Finds the values with which the simulated bench predicts recorded presses best. Record them "
-    "with touchdown collect, plans rest, gel and contact. Nothing moves. Write bench file writes a "
-    "file; the bench in use does not change until Touchdown is opened with that file."
+    "with three commands: touchdown collect --plan rest, --plan gel, --plan contact. Nothing moves "
+    "here. Write bench file writes a file; to use it, open Touchdown with that file."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000
@@ -97,8 +97,8 @@ class IdentifySheet(BenchSheet):
         tone = "good" if found.get("accepted") else "bad" if found or self._error else ""
         set_property(self.verdict, "tone", tone)
         self.table.show_rows([
-            (key, f"{value:.4g}", f"{sigma:.2g}", tr("yes" if key in found["used"] else "no"))
-            for key, (value, sigma) in found.get("estimates", {}).items()
+            (key, f"{value:.4g} {unit}".removesuffix(" 1"), f"{sigma:.2g}", tr(found["use"][key]))
+            for key, (value, sigma, unit) in found.get("estimates", {}).items()
         ])  # fmt: skip
         self._page = found.get("report", "")
         self.report.setEnabled(bool(found))

@@ -118,12 +118,12 @@ def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
 
 STEPS: dict[CalibrationName, tuple[str, ...]] = {
     "payload": (
-        "Empty the gripper and leave 60 mm of free height above it.",
+        "Empty the gripper (Open on Operate) and leave 60 mm of free height above it.",
         "The hand rises, leans 14° in six poses and is weighed in each.",
         "It levels again. Compare mass and centre with the data sheet, then accept.",
     ),
     "wrist": (
-        "Empty the gripper and leave 60 mm of free height above it.",
+        "Empty the gripper (Open on Operate) and leave 60 mm of free height above it.",
         "The hand leans in six poses: gravity shows how the sensor is turned.",
         "Beyond 2° the settings are wrong: correct ft.rotation, then repeat.",
     ),
@@ -143,7 +143,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
         "Exchanged fingers and mirrored pictures are put right from the next start on.",
     ),
     "day": (
-        "Empty the gripper. The piece waits in its jig, or is handed over.",
+        "Empty the gripper (Open on Operate). The piece waits in its jig, or is handed over.",
         "Markers and wrist sensor rest for 20 s; then the piece is pressed four times.",
         "The result is stored. Out of limits, you are asked before each release until one passes.",
     ),

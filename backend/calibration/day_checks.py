@@ -107,12 +107,13 @@ class DayCheck(Settings):
         return found
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return name, value and limits of each quantity as texts, those out of limits first."""
+        """Return name, value and limits of each quantity; first, marked, those out of limits."""
         rows, findings = [], self.findings
         for name in sorted(self.limits, key=lambda name: name not in findings):
             low, high = self.limits[name]
             known, value = quantity(name), f"{self.values[name]:.3g}"
-            rows.append((known.title, f"{value} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}"))
+            title = f"\N{MULTIPLICATION X} {known.title}" if name in findings else known.title
+            rows.append((title, f"{value} {known.unit}".rstrip(), f"{low:.3g} to {high:.3g}"))
         return rows
 
 

@@ -67,7 +67,7 @@ def identify_dataset(
     write_identification(found, out, p["dataset"])
     return {
         "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
-        "used": list(found.used),
+        "used": list(found.used), "use": {e.key: found.use(e) for e in found.estimates},
         "estimates": {e.key: [e.value, e.sigma, e.unit] for e in found.estimates},
     }  # fmt: skip
 
@@ -127,7 +127,7 @@ def _parameters(rows: list[Estimate], found: Identification) -> ReportTable:
             TableEntry(f"{e.sigma:.2g}", f"{e.sharpness:.2f}"),
             TableEntry(f"{e.prior[0]:g} to {e.prior[1]:g}"),
             TableEntry(e.unit),
-            TableEntry("yes" if e.key in found.used else "no"),
+            TableEntry(found.use(e)),
         ))
         for e in rows
     )  # fmt: skip

@@ -86,10 +86,16 @@ class Identification:
         open_end = "" if self.converged else " The fit did not converge: its values are doubtful."
         return (
             f"{'Better' if gate.accepted else 'Refused, nothing was changed'}: on {gate.presses} "
-            f"presses of {gate.grips} held-out grippings its predictions leave "
-            f"{100 * gate.share:.0f} % of the error of the nominal bench; {gate.better} of the "
-            f"grippings are predicted better.{open_end}"
+            f"presses of {gate.grips} held-out grippings the error of the prediction is "
+            f"{100 * gate.share:.0f} % of that of the nominal bench; smaller in {gate.better} of "
+            f"{gate.grips} grippings.{open_end}"
         )
+
+    def use(self, one: Estimate) -> str:
+        """Return "yes" if an estimate goes into the bench file, else "no" with the reason."""
+        vague = one.sharpness >= USEFUL_SHARPNESS or not np.isfinite(one.value)
+        no = "no, too uncertain" if vague else "no, report only"
+        return "yes" if one.key in self.used else no
 
     def ranges(self) -> dict[str, list[float]]:
         """Return the 95 % interval of each parameter in use, as ranges for randomisation."""

@@ -115,11 +115,16 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     sheet.show_line(json.dumps({"error": {"what": "3 presses.", "where": "x", "fix": "Record."}}))
     sheet.show_end(2, "")
     assert sheet.verdict.text() == "3 presses. Record."
-    found = {"accepted": True, "reason": "Accepted: 30 %.", "used": ["mu_grip"],
+    found = {"accepted": True, "reason": "Accepted: 30 %.",
+             "use": {"mu_grip": "yes", "wrist.white_n": "no, too uncertain"},
              "report": str(tmp_path / "bench.html"),
-             "estimates": {"mu_grip": [0.7, 0.01], "wrist.white_n": [0.1, 0.001]}}  # fmt: skip
+             "estimates": {"mu_grip": [0.7, 0.01, "1"], "wrist.white_n": [0.1, 0.1, "N"]},
+    }  # fmt: skip
     sheet.show_end(0, json.dumps(found))
-    assert (sheet.verdict.text(), sheet.table.rowCount()) == ("Accepted: 30 %.", 2)
+    assert sheet.verdict.text() == "Accepted: 30 %."
+    assert sheet.table.texts() == [
+        ["mu_grip", "0.7", "0.01", "yes"], ["wrist.white_n", "0.1 N", "0.1", "no, too uncertain"],
+    ]  # fmt: skip
     sheet._draft = tmp_path / "draft.toml"
     sheet._draft.write_text("preset = 'mixed'\n")
     sheet.accept_it.click()
@@ -132,7 +137,7 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
 def test_a_refused_identification_can_not_be_accepted(wizard):
     wizard.wizard.identify.click()
     sheet = wizard.panels.calibrate.identify
-    found = {"accepted": False, "reason": "Refused.", "used": [], "report": "/x.html",
+    found = {"accepted": False, "reason": "Refused.", "use": {}, "report": "/x.html",
              "estimates": {}}  # fmt: skip
     sheet.show_end(1, json.dumps(found))
     assert not sheet.accept_it.isEnabled()
@@ -254,7 +259,11 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
         "the table.\nThen press Measure to check again."
     )
-    assert sheet.table.texts()[0] == ["Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"]
+    cross = "\N{MULTIPLICATION X}"
+    assert sheet.table.texts() == [
+        [f"{cross} Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"],
+        ["Number of markers, left finger", "63", "57 to 63"],
+    ]
     assert sheet.conditions[5].text().startswith("Out of limits on")
     assert not sheet.accept_it.isEnabled()
     assert {line.name: len(line.points) for line in sheet.plot.lines if line.points} == {

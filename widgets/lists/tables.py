@@ -11,6 +11,7 @@ from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPaintEvent, QResiz
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QHeaderView,
+    QStyledItemDelegate,
     QTableView,
     QTableWidget,
     QTableWidgetItem,
@@ -140,20 +141,32 @@ class _EpisodeModel(QAbstractTableModel):
 
 
 MOST_COMPARED = 3
+CROSS = "\N{MULTIPLICATION X}"
 LEAST_ROWS = 3  # rows that fit even at the smallest window size
+
+
+class _FigurePainter(QStyledItemDelegate):
+    theme: Theme
+
+    def initStyleOption(self, option: Any, index: ModelIndex) -> None:
+        super().initStyleOption(option, index)
+        if str(index.siblingAtColumn(0).data()).startswith(CROSS):
+            option.palette.setColor(option.palette.ColorRole.Text, self.theme.tokens.colour("bad"))
 
 
 class FigureTable(QTableWidget):
     """Table of texts; all columns but the first are right-aligned figures.
 
-    ``empty`` is the text shown while there are no rows.
+    ``empty`` is the text shown while there are no rows. A row that begins with a cross is red.
     """
 
     empty = ""
 
     def __init__(self, theme: Theme, name: str, columns: Sequence[str]) -> None:
         super().__init__(0, len(columns))
-        self._theme = theme
+        self._theme, painter = theme, _FigurePainter(self)
+        painter.theme = theme
+        self.setItemDelegate(painter)
         plain_table(self, name)
         self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.show_columns(columns)

@@ -94,7 +94,7 @@ def _show(found: dict[str, Any], screen: VerbOutput) -> None:
         screen.say(" ".join(found["refused"]))
         return
     rows = [
-        (key, f"{value:.4g}", f"{sigma:.2g}", unit, "yes" if key in found["used"] else "no")
+        (key, f"{value:.4g}", f"{sigma:.2g}", unit, found["use"][key])
         for key, (value, sigma, unit) in found["estimates"].items()
     ]
     header = ("parameter", "value", "standard uncertainty", "unit", "used")

@@ -635,6 +635,12 @@ def test_only_sharp_estimates_enter_the_bench():
     assert found.grasp.torsion_nmm_rad == NOMINAL.grasp.torsion_nmm_rad
     assert found.face.subcells == 3
     assert identified_settings(NOMINAL, ()) == (NOMINAL, ())
+    identified = replace(made_identification(0.3), estimates=estimates, used=used)
+    reasons = {one.key: identified.use(one) for one in estimates}
+    assert set(map(reasons.pop, used)) == {"yes"}
+    assert reasons == {
+        "grasp.torsion_nmm_rad": "no, too uncertain", "delay.pose_wrench": "no, report only",
+    }  # fmt: skip
 
 
 def test_the_stiffness_of_the_faces_is_kept_beside_the_preset(tmp_path):
@@ -715,4 +721,5 @@ def test_several_datasets_are_identified_as_jobs(tmp_path, monkeypatch, capsys):
     a, b = json.loads(capsys.readouterr().out)["benches"]
     assert (a["bench"], b["bench"]) == (str(out / "a.toml"), None)
     assert a["estimates"]["grasp.shear_n_mm"] == [5.0, 0.2, "N/mm"]
+    assert a["use"]["grasp.shear_n_mm"] == "yes"
     assert main([*words[:3], "--out", str(tmp_path / "one.toml")]) == 2

@@ -374,13 +374,13 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     wizard.identify.show_line("fit, round 2: 1,204 of 2,304 ... about 3.5 min left")
     yield "identify"
     reason = (
-        "Better: on 30 presses of 5 held-out grippings its predictions leave 31 % of the error of "
-        "the nominal bench; 5 of the grippings are predicted better."
+        "Better: on 30 presses of 5 held-out grippings the error of the prediction is 31 % of that "
+        "of the nominal bench; smaller in 5 of 5 grippings."
     )
     keys = (*list(PARAMETERS)[::2], "mu_grip")
     found = {
         "accepted": True, "reason": reason, "report": str(folder / "bench.html"),
-        "used": [key for key in keys if not key.startswith("delay.")],
+        "use": {k: "no, report only" if k.startswith("delay.") else "yes" for k in keys},
         "estimates": {key: _estimate(key) for key in keys},
     }  # fmt: skip
     wizard.identify.show_end(0, json.dumps(found))
@@ -388,10 +388,10 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     wizard.identify.close()
 
 
-def _estimate(key: str) -> list[float]:
-    """Return a value within the range of a parameter, and its uncertainty."""
-    *_, low, high = PARAMETERS[key]
-    return [0.7 * low + 0.3 * high, 0.02 * (high - low)]
+def _estimate(key: str) -> list[float | str]:
+    """Return a value within the range of a parameter, its uncertainty, and its unit."""
+    unit, *_, low, high = PARAMETERS[key]
+    return [0.7 * low + 0.3 * high, 0.02 * (high - low), unit]
 
 
 def _refuse(gripper: ScriptedDevice) -> None:
@@ -407,10 +407,22 @@ def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
     file.write_text(LAB, "utf-8")
     chosen = DevicesPresenter(bench, stage.main.window)
     chosen.open()
+    bench.connection = BenchConnection(scripted()[0])  # nothing is plugged in
+    _show_state(stage, DeviceState.CLOSED)
     yield name
+    bench.connection.close()
+    bench.connection = None
+    _show_state(stage, DeviceState.READY)
     assert chosen.sheet is not None
     chosen.sheet.close()
     bench.limits_source = source
+
+
+def _show_state(stage: Stage, state: DeviceState) -> None:
+    for device in stage.bench.devices.values():
+        device.state = state
+    stage.main._chips._drawn_s = float("-inf")
+    stage.live(0.0)
 
 
 def pauses(stage: Stage) -> Iterator[str]:

@@ -55,8 +55,9 @@ from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
 SIZES = ((1280, 720), (1600, 940))
 THEMES = ("dark", "light", "contrast")
-SEED, TRIALS, PROBES = 1, 2, 8  # of the recorded run, and of the recorded campaign
-SHIFTED_MM = 6.3
+# Of the recorded run and campaign. On bench-v2 the first trial of this seed is placed, and in the
+# second the piece falls.
+SEED, TRIALS, PROBES, CAMPAIGN_SEED = 3, 2, 8, 1
 LIFTED_MM = 3.0  # height of the face between the probes of a run
 Told = TypeVar("Told", bound=Event)
 
@@ -174,20 +175,20 @@ class RecordedBench:
     """A stacking run and a campaign of the simulated bench, which the stand-in bench repeats."""
 
     def __init__(self, folder: Path) -> None:
-        # Opening fingers shift the piece, so that a trial falls.
-        settings = SimulationSettings(release_disturbance_mm=SHIFTED_MM)
-        choice = SimulatedBenchChoice(given=settings)
-        self.session = simulated_session(choice, keep=RecordingOptions(folder / "recorded"))
-        self.session.prepare(SceneChoice())
+        self._begin("bench-v2", RecordingOptions(folder / "recorded"))
         self._events: list[Event] = []
         self.contact_z_mm = float("nan")
         self.session.events.subscribe(self._take)
         self._run(StackRequest(seed=SEED, trials=TRIALS))
         (self.run_folder,) = (folder / "recorded").iterdir()
         self.stacking = tuple(self._events)
+        self.session.close()
+        self._begin("mixed", None)
         with Dataset.open(folder / "dataset", person="setup") as dataset:
             self.session.dataset = dataset
-            self._run(CollectRequest(seed=SEED, count=PROBES, person="setup", probes_per_grip=4))
+            self._run(
+                CollectRequest(seed=CAMPAIGN_SEED, count=PROBES, person="setup", probes_per_grip=4)
+            )
             self.session.dataset = None
             for number, entry in enumerate(dataset.episodes()):
                 label = dataset.labels.head(entry.uuid).label
@@ -197,6 +198,11 @@ class RecordedBench:
                     context = AnswerContext(5200 + 90 * number)
                     dataset.labels.opinion(person, entry.uuid, said, context=context)
         self.session.close()
+
+    def _begin(self, preset: str, keep: RecordingOptions | None) -> None:
+        choice = SimulatedBenchChoice(given=SimulationSettings(preset=preset))
+        self.session = simulated_session(choice, keep=keep)
+        self.session.prepare(SceneChoice())
 
     def _take(self, event: Event) -> None:
         self._events.append(event)
@@ -366,7 +372,8 @@ class Stage:
     def _stack(self) -> Iterator[str]:
         main, bench, run = self.main, self.bench, self.repeated()
         main.go("stack")
-        main.workspaces["stack"].page.run.show_form(RunForm(seed=SEED, trials=TRIALS))
+        form, panel = RunForm(seed=SEED, trials=TRIALS), main.workspaces["stack"].page.run
+        panel.show_form(form)
         self.live(0.0)
         yield "stack-ready"
         run.until(PhaseEntered, phase="press")
@@ -377,7 +384,10 @@ class Stage:
         run.until(Said)
         self.live(0.0)
         bench.set_state(RunState.RUNNING, awaiting=waits, probe=2, phase="lift")
+        panel.show_form(replace(form, mode="approve"))  # "auto" asks before no shift
+        self.live(0.0)
         yield "stack-your-turn"
+        panel.show_form(form)
         probes = run.until(TrialFinished).probes
         bench.set_state(RunState.RUNNING, awaiting=None, phase="rise", probe=probes)
         self.live(0.0)

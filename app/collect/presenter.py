@@ -423,9 +423,8 @@ class CollectPresenter:
             self._asked = None
             self._page.target.detail.setText(tr(event.phase))
         elif isinstance(event, core.OriginChecked):
-            at = f"{datetime.now():%Y-%m-%d %H:%M}"
-            found = OriginCheckNote(event.residual_mm, event.sigma_mm, event.agrees, at)
-            self.origin.show_note(found)
+            found = event.residual_mm, event.sigma_mm, event.agrees
+            self.origin.show_note(OriginCheckNote(*found, f"{datetime.now():%Y-%m-%d %H:%M}"))
 
     def _show_pair(self, piece: str, bottom: str) -> None:
         """Show the pair of the campaign that started."""

@@ -113,9 +113,7 @@ class TrainingReader:
         return self._found
 
 
-REVIEW_HINT = (
-    "No label is approved yet. Accept labels in Label (Ctrl+2); another person approves them there."
-)
+REVIEW_HINT = "No approved label yet. Accept some in Label (Ctrl+2); another person approves them."
 
 
 def _label_hint(form: TrainingForm) -> str:

@@ -93,9 +93,9 @@ class Identification:
 
     def use(self, one: Estimate) -> str:
         """Return "yes" if an estimate goes into the bench file, else "no" with the reason."""
-        vague = one.sharpness >= USEFUL_SHARPNESS or not np.isfinite(one.value)
-        no = "no, too uncertain" if vague else "no, report only"
-        return "yes" if one.key in self.used else no
+        if one.key in self.used:
+            return "yes"
+        return "no, report only" if one.sharpness < USEFUL_SHARPNESS else "no, too uncertain"
 
     def ranges(self) -> dict[str, list[float]]:
         """Return the 95 % interval of each parameter in use, as ranges for randomisation."""

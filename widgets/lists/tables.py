@@ -150,7 +150,7 @@ class _FigurePainter(QStyledItemDelegate):
 
     def initStyleOption(self, option: Any, index: ModelIndex) -> None:
         super().initStyleOption(option, index)
-        if str(index.siblingAtColumn(0).data()).startswith(CROSS):
+        if str(index.sibling(index.row(), 0).data()).startswith(CROSS):
             option.palette.setColor(option.palette.ColorRole.Text, self.theme.tokens.colour("bad"))
 
 

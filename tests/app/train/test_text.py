@@ -34,8 +34,7 @@ def test_labels_that_would_count_are_named_with_the_way_to_them(tmp_path):
 
     with Dataset.open(tmp_path / "data", person="ann") as dataset:
         assert told() == (
-            "No label is approved yet. Accept labels in Label (Ctrl+2); another person approves "
-            "them there."
+            "No approved label yet. Accept some in Label (Ctrl+2); another person approves them."
         )
         context = context_for(dataset)
         uuids = [

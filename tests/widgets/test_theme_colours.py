@@ -256,7 +256,7 @@ def test_every_dot_of_a_distribution_is_seen_on_its_ground(tokens, name):
 
 @pytest.mark.parametrize("tokens", THEMES, ids=IDS)
 def test_the_lines_of_the_sources_are_seen_and_told_apart(tokens):
-    colours = [getattr(tokens, token) for _, token, _ in GHOST_STYLES.values()]
+    colours = [getattr(tokens, token) for _, token in GHOST_STYLES.values()]
     assert min(contrast_ratio(QColor(c), tokens.colour("bg")) for c in colours) >= 3.0
     assert smallest_distance(colours) >= 10
 

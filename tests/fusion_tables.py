@@ -120,13 +120,18 @@ def compared(answer: Json) -> str:
     ]
     for name in names:
         lines.append(_loop(f"`{name}`", [c for c in answer["cells"] if c["strategy"] == name]))
-    lines += ["", "| change, points | from | of | | only before | only after | p |"]
-    lines.append("|---|---|---|---|---|---|---|")
+    if answer["changes"]:
+        lines += ["", "| change, points | from | of | | only before | only after | p |"]
+        lines.append("|---|---|---|---|---|---|---|")
     for row in answer["changes"]:
         if "only_own" in row:
             counts = f"{row['only_paper']} | {row['only_own']} | {row['p']:.2g}"
             names_of = f"`{row['strategy']}` | `{row['reference']}` | {row['what']}"
             lines.append(f"| {names_of} | {_points(row)} | {counts} |")
+    for row in answer.get("of_ceiling", ()):
+        value, low, high = (100 * row[key] for key in ("value", "low", "high"))
+        share = f"{value:.1f} % ({low:.1f} to {high:.1f})"
+        lines += ["", f"`{row['strategy']}` places {share} of what `{row['ceiling']}` places."]
     if "band" in answer:
         around = [t for t in comparison_tables(answer) if "benches around" in t.title]
         lines += ["", markdown(around).strip()]
@@ -241,7 +246,7 @@ def rendered(name: str, answer: Json) -> str:
         return stability(answer)
     if "fresh" in name:
         return fresh(answer)
-    if answer.get("changes"):
+    if answer.get("changes") or answer.get("of_ceiling"):
         return compared(answer)
     table = statics(answer) if "statics" in name else loops(answer)
     return f"{table}\n\n{_provenance(answer)}" if "sources" in answer else table

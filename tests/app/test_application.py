@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -32,6 +34,25 @@ from touchdown.backend.runs.recorder import RecordingOptions, models_folder
 from touchdown.backend.runs.requests import ProbeRequest, RunState, SceneChoice
 from touchdown.widgets.base.freshness import BUDGET_S
 from touchdown.widgets.shell.fault_cards import FaultCard
+
+# Prints how many of 100 frames are blocks of their own, after a larger block was freed.
+MAPPED_FRAMES = """
+import ctypes
+import numpy as np
+from touchdown.app.start import tune_interpreter
+
+class Counts(ctypes.Structure):
+    _fields_ = [("values", 10 * ctypes.c_size_t)]
+
+count = getattr(ctypes.CDLL(None), "mallinfo2", None)
+if count is not None:
+    count.restype = Counts
+    tune_interpreter()
+    np.empty(20_000_000, np.uint8)
+    before = count().values[3]
+    frames = [np.empty((240, 320, 3), np.uint8) for _ in range(100)]
+    print(count().values[3] - before)
+"""
 
 
 @pytest.fixture
@@ -111,6 +132,13 @@ def test_the_end_of_a_run_returns_memory_to_the_system(live, bench, monkeypatch)
     bench.events.publish(RunFinished(1.0, "run", "finished", ""))
     settle(live)
     assert called == [("malloc_trim", 0)]
+
+
+def test_freed_frames_are_returned_to_the_system_whatever_was_freed_before():
+    done = subprocess.run([sys.executable, "-c", MAPPED_FRAMES], check=True, capture_output=True)
+    if not done.stdout:
+        pytest.skip("the C library has no mallinfo2")
+    assert int(done.stdout) == 100
 
 
 def test_a_library_without_a_function_of_glibc_does_no_harm():

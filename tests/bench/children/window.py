@@ -51,10 +51,10 @@ from touchdown.backend.runs import (
 )
 from touchdown.widgets.base.freshness import PERIOD_MS
 
-STEP_S, MINUTES = 1e-6 * STEP_US, 30.0
+STEP_S, MINUTES = 1e-6 * STEP_US, 45.0
 TICKS_A_STEP = 1e3 * STEP_S / PERIOD_MS
 PAGE_S, SAMPLE_S = 10.0, 10.0  # time per page; interval of the memory samples
-WARM_UP = 0.2  # share of the minutes in which caches may still fill
+WARM_UP_MIN = 10.0  # until then each page has shown each sheet, and each run was done
 START_MS = 60_000
 HEARTBEAT_MS = 10
 # Of a day: trials and probes of a run, labels at a time, commands for a sheet or another look.
@@ -79,7 +79,10 @@ def _close(application: QApplication, main: TouchdownApp) -> None:
 
 
 def soak(application: QApplication, folder: Path) -> dict[str, float]:
-    """Return the memory slope of a day after the warm-up, frame rates, what is left at the end."""
+    """Return the memory slope of a day after the first visits, frame rates, and what is left.
+
+    Memory rises and falls with each run, so the slope is that of the means of whole rounds of runs.
+    """
     threads = set(threading.enumerate())
     session = simulated_session(keep=RecordingOptions(folder / "runs"))
     session.prepare(SceneChoice())
@@ -89,17 +92,21 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
     main.window.show()
     main.attach(session)
     pictures = _Pictures(main)
-    day, memory, begun_s = _Day(main, session), [], time.monotonic()
+    day, begun_s = _Day(main, session), time.monotonic()
+    memory: dict[int, list[tuple[float, float]]] = {}  # minute and MB, by round of runs
     for step in range(round(60 * MINUTES / STEP_S)):
         if session.status().state is RunState.IDLE:
             day.start_run()
         _step(main, session, step, pictures)
         if step % round(PAGE_S / STEP_S) == round(PAGE_S / STEP_S) // 2:
             day.act()
+        if step == round(60 * WARM_UP_MIN / STEP_S):
+            first = day.complete_rounds()
         if step % round(SAMPLE_S / STEP_S) == 0:
             gc.collect()
-            memory.append(psutil.Process().memory_info().rss / 1e6)
-            sys.stderr.write(f"minute {step * STEP_S / 60.0:.1f}: {memory[-1]:.1f} MB\n")
+            sample = step * STEP_S / 60.0, psutil.Process().memory_info().rss / 1e6
+            memory.setdefault(day.rounds, []).append(sample)
+            sys.stderr.write(f"minute {sample[0]:.1f}: {sample[1]:.1f} MB\n")
     wall_s, pss_mb, done = time.monotonic() - begun_s, _pss_mb(), day.done()
     session.engine.cancel()
     while session.status().state is not RunState.IDLE:
@@ -107,12 +114,14 @@ def soak(application: QApplication, folder: Path) -> dict[str, float]:
     _close(application, main)
     left = set(threading.enumerate()) - threads
     sys.stderr.writelines(f"left: {thread}\n" for thread in left)
-    at_min = np.arange(len(memory)) * SAMPLE_S / 60.0
-    warm, half = (round(share * len(memory)) for share in (WARM_UP, 0.5))
+    at_min, mean_mb = np.transpose([np.mean(memory[k], 0) for k in range(first + 1, day.rounds)])
+    half = len(at_min) // 2
     return {
-        "slope_mb_per_min": float(np.polyfit(at_min[warm:], memory[warm:], 1)[0]),
-        "later_slope_mb_per_min": float(np.polyfit(at_min[half:], memory[half:], 1)[0]),
-        "memory_mb": memory[-1],
+        "slope_mb_per_min": float(np.polyfit(at_min, mean_mb, 1)[0]),
+        "later_slope_mb_per_min": float(np.polyfit(at_min[half:], mean_mb[half:], 1)[0]),
+        "first_round_mb": float(mean_mb[0]),
+        "last_round_mb": float(mean_mb[-1]),
+        "rounds": len(at_min),
         "pss_mb": pss_mb,
         **done,
         "wall_s": wall_s,
@@ -127,6 +136,7 @@ class _Day:
 
     def __init__(self, main: TouchdownApp, session: Session) -> None:
         self._main, self._session, self._seeds = main, session, itertools.count(100, STACKED)
+        self.rounds, self._visits = 0, set[tuple[str, str]]()
         self._waits, self.counts = 0, dict.fromkeys(("trials", "probes", "sheets", "refused"), 0)
         session.events.subscribe(self._take)  # on this thread: the bench is stepped
         self._runs = itertools.cycle((self._set, self._probe, self._collect, self._stack))
@@ -167,7 +177,9 @@ class _Day:
             main.workspaces["review"].page.recording_chosen.emit(0)
         elif front == "stack":
             self._do("stack.compare", "stack.planned")
-        self._do(next(self._sheets))
+        sheet = next(self._sheets)
+        self._visits.add((front, sheet))
+        self._do(sheet)
         self.counts["sheets"] += 1
         for top in QApplication.topLevelWidgets():
             if top is not main.window and top.isVisible():
@@ -192,7 +204,14 @@ class _Day:
         self.counts["trials"] += isinstance(event, TrialFinished)
         self.counts["probes"] += isinstance(event, PatchEstimated | EpisodeRecorded)
 
+    def complete_rounds(self) -> int:
+        """Return the number of the present round; every page must have shown every sheet."""
+        assert len(self._visits) == len(self._main.workspaces) * len(SHEETS)
+        assert self.rounds > 1
+        return self.rounds
+
     def _set(self) -> None:
+        self.rounds += 1
         self._session.start(SetRequest(SceneChoice()))
 
     def _probe(self) -> None:

@@ -173,12 +173,14 @@ def test_a_laboratory_is_added_to_those_that_are_there(tmp_path, monkeypatch):
 
 
 def test_labels_needed_are_read_where_random_order_ends():
-    rising = [[0.3, 0.5, 0.6, 0.7], [0.3, 0.5, 0.6, 0.5]]  # the mean ends at 0.6, reached at 100
+    batch = laboratories.BATCH
+    # The mean ends at 0.6, reached after two batches.
+    rising = [[0.3, 0.5, 0.6, 0.7], [0.3, 0.5, 0.6, 0.5]]
     found = laboratories.labels_needed([{"random": rising, "queue": [[0.3, 0.6, 0.65, 0.6]] * 2}])
-    assert found["labels"] == {"random": pytest.approx(100.0), "queue": pytest.approx(50.0)}
+    assert found["labels"] == {"random": pytest.approx(2 * batch), "queue": pytest.approx(batch)}
     assert found["share"] == pytest.approx(0.5)
     low, high = found["interval"]
-    assert low == pytest.approx(50 / 100)  # draws of the second seed twice end at 0.5, at 50 labels
+    assert low == pytest.approx(1 / 2)  # draws of the second seed twice end at 0.5, after a batch
     assert high is None or high >= 0.5
     never = {"random": [[0.3, 0.5, 0.6, 0.7]], "queue": [[0.3, 0.4, 0.5, 0.5]]}
     found = laboratories.labels_needed([never])
@@ -188,7 +190,7 @@ def test_labels_needed_are_read_where_random_order_ends():
         {"random": rising, "queue": [[0.3, 0.9, 1, 1]] * 2},
     ]
     found = laboratories.labels_needed(both)
-    assert found["labels"]["queue"] == pytest.approx(100.0 + 25.0)
+    assert found["labels"]["queue"] == pytest.approx(2.5 * batch)
     assert found["share"] == pytest.approx(125 / 200)
 
 

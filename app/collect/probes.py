@@ -85,6 +85,9 @@ class PairProbes:
         self._none = count_coverage(np.zeros((0, 2)), face, bottom)
         self._coverage: Coverage | None = None
 
+    def __len__(self) -> int:
+        return len(self._held)
+
     def put(self, held: ProbeRecord) -> None:
         """Add or update a probe."""
         before = self._held.get(held.entry.uuid)

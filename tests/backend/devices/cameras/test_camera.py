@@ -183,6 +183,7 @@ def test_a_camera_that_stays_dark_is_refused_and_lamps_that_fail_later_are_a_fau
 ):
     monkeypatch.setattr(frames, "DARK_S", 0.5)  # shorter than the time to connect
     cameras.fronts["left"].inject("dark")
+    threading.Event().wait(10.0 / RATE_HZ)  # a bright picture may have been in preparation
     with pytest.raises(FaultError, match="left tactile camera stay dark") as error:
         cameras.driver.connect(2.0, threading.Event())
     assert error.value.fault.code == "CAMERA-DARK"

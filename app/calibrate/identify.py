@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PySide6.QtCore import QProcess, QUrl
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
@@ -97,7 +98,8 @@ class IdentifySheet(BenchSheet):
         tone = "good" if found.get("accepted") else "bad" if found or self._error else ""
         set_property(self.verdict, "tone", tone)
         self.table.show_rows([
-            (key, f"{value:.4g} {unit}".removesuffix(" 1"), f"{sigma:.2g}", tr(found["use"][key]))
+            (key, f"{_rounded(value, 4)} {unit}".removesuffix(" 1"), _rounded(sigma, 2),
+             tr(found["use"][key]))
             for key, (value, sigma, unit) in found.get("estimates", {}).items()
         ])  # fmt: skip
         self._page = found.get("report", "")
@@ -145,3 +147,10 @@ class IdentifySheet(BenchSheet):
         self.accept_it.setEnabled(can_accept)
         set_property(self.accept_it, "role", "primary" if can_accept else "")
         set_property(self.begin, "role", "" if can_accept else "primary")
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Return ``value`` with this many significant digits, without an exponent."""
+    return np.format_float_positional(
+        value, precision=digits, unique=False, fractional=False, trim="-"
+    )

@@ -116,14 +116,17 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     sheet.show_end(2, "")
     assert sheet.verdict.text() == "3 presses. Record."
     found = {"accepted": True, "reason": "Accepted: 30 %.",
-             "use": {"mu_grip": "yes", "wrist.white_n": "no, too uncertain"},
+             "use": {"mu_grip": "yes", "wrist.white_n": "no, too uncertain",
+                     "wrist.rate_hz": "yes"},
              "report": str(tmp_path / "bench.html"),
-             "estimates": {"mu_grip": [0.7, 0.01, "1"], "wrist.white_n": [0.1, 0.1, "N"]},
+             "estimates": {"mu_grip": [0.7, 0.01, "1"], "wrist.white_n": [0.1, 0.1, "N"],
+                           "wrist.rate_hz": [24351.2, 163.0, "Hz"]},
     }  # fmt: skip
     sheet.show_end(0, json.dumps(found))
     assert sheet.verdict.text() == "Accepted: 30 %."
     assert sheet.table.texts() == [
         ["mu_grip", "0.7", "0.01", "yes"], ["wrist.white_n", "0.1 N", "0.1", "no, too uncertain"],
+        ["wrist.rate_hz", "24350 Hz", "160", "yes"],
     ]  # fmt: skip
     sheet._draft = tmp_path / "draft.toml"
     sheet._draft.write_text("preset = 'mixed'\n")

@@ -94,6 +94,15 @@ def test_a_label_without_a_second_copy_is_saved_and_said_to_have_none(desk, monk
     assert not desk.page.banner.isVisible()
 
 
+def test_a_backup_that_fails_is_told_beside_the_saved_label(desk, monkeypatch):
+    dataset, uuid = desk.workspace.presenter.dataset, desk.uuid
+    monkeypatch.setattr(type(dataset.backups), "age", None)
+    monkeypatch.setattr(dataset.database, "copy_to", lambda target: target.write_bytes(b"half"))
+    desk.do(KEY.Key_Return)
+    assert desk.book.head(uuid).state == "submitted"
+    assert "could not be copied" in desk.page.banner.text.text()
+
+
 @pytest.mark.promise("D4")
 def test_what_waits_for_another_program_is_counted_and_done_in_order(desk, qtbot):
     """A second connection holds the dataset; each try gives up after 20 ms instead of 2 s."""

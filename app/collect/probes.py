@@ -12,12 +12,7 @@ from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter
 from touchdown.backend.core import EpisodeQuality, FloatArray, InputError
 from touchdown.backend.episodes import Coverage, ExaminedEpisode, count_coverage
 from touchdown.backend.geometry import Outline
-from touchdown.backend.runs import (
-    SignalExcerpt,
-    counts_for_coverage,
-    last_signal_excerpt,
-    read_probe_summary,
-)
+from touchdown.backend.runs import SignalExcerpt, counts_for_coverage, read_probe_summary
 from touchdown.widgets.base import signed, tr
 from touchdown.widgets.lists import EpisodeTableRow
 from touchdown.widgets.plots import BinCounts, DistributionScene, reach_of
@@ -61,10 +56,7 @@ def read_probe(dataset: Dataset, entry: EpisodeEntry, *, signals: bool) -> Probe
     except InputError:
         return held
     return replace(
-        held,
-        commanded_mm=found.commanded_mm,
-        seen=found.examined,
-        signals=last_signal_excerpt(found.examined.observation),
+        held, commanded_mm=found.commanded_mm, seen=found.examined, signals=found.signals
     )
 
 

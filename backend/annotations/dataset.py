@@ -569,7 +569,7 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
         else:
             offset_mm = dataset.labels.head(entry.uuid).label.offset_mm
             pair = pairs[entry.piece, entry.bottom]
-            pair.append(ExaminedEpisode(entry.uuid, seen, offset_mm, entry.quality))
+            pair.append(ExaminedEpisode.of(entry.uuid, seen, offset_mm, entry.quality))
         if not progress(examined, len(entries)):
             break
     for names, rows in pairs.items():

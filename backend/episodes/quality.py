@@ -109,12 +109,30 @@ _FX, _FZ = TACTILE_CHANNELS, TACTILE_CHANNELS + 2
 
 @dataclass(frozen=True, slots=True)
 class ExaminedEpisode:
-    """One episode to check: ``observation`` (20, 258), labelled ``offset_mm`` (2,), quality."""
+    """What the checks need of one episode, about 1 kB instead of the 20 kB of its signals.
+
+    ``offset_mm`` (2,) is the labelled displacement, ``features`` (258,) the mean signals of the
+    last 0.5 s (NaN if any signal is unknown), ``findings`` those of this episode alone.
+    """
 
     uuid: str
-    observation: NDArray[np.float32]
     offset_mm: FloatArray
-    quality: EpisodeQuality
+    features: NDArray[np.float32]
+    findings: tuple[tuple[Kind, str], ...]
+
+    @classmethod
+    def of(
+        cls,
+        uuid: str,
+        observation: NDArray[np.float32],
+        offset_mm: FloatArray,
+        quality: EpisodeQuality,
+    ) -> ExaminedEpisode:
+        """Examine an episode; ``observation`` (20, 258) as in ``Episode``."""
+        features = observation[-5:].mean(axis=0)
+        if not np.isfinite(observation).all():
+            features[:] = np.nan
+        return cls(uuid, offset_mm, features, tuple(_single_findings(observation, quality)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +146,7 @@ class QualityIssue:
 
 def check_quality(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
     """Return all findings: distribution first, then repeats, then single episodes."""
-    singles = [
-        QualityIssue(kind, (row.uuid,), text)
-        for row in rows
-        for kind, text in _single_findings(row)
-    ]
+    singles = [QualityIssue(kind, (row.uuid,), text) for row in rows for kind, text in row.findings]
     return [*find_asymmetry(rows), *find_contradicting_repeats(rows), *singles]
 
 
@@ -167,14 +181,14 @@ def find_asymmetry(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
 def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityIssue]:
     """Find nearly equal signals with labels more than 5 mm apart, nearest first.
 
-    Features are the standardised means of the last 0.5 s; "nearly equal" is relative to the usual
-    distance of episodes with different labels.
+    "Nearly equal" is relative to the usual distance between the standardised features of episodes
+    with different labels.
     """
-    known = [row for row in rows if np.isfinite(row.observation).all()]
+    known = [row for row in rows if np.isfinite(row.features).all()]
     known = [row for row in known if np.isfinite(row.offset_mm).all()]
     if len(known) < FEWEST:
         return []
-    features = np.stack([row.observation[-5:].mean(axis=0) for row in known]).astype(np.float64)
+    features = np.stack([row.features for row in known]).astype(np.float64)
     spread = features.std(axis=0)
     features = (features - features.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
     offsets = np.stack([row.offset_mm for row in known])
@@ -212,34 +226,36 @@ def _nearest_other_label(
     return distance, nearest
 
 
-def _single_findings(row: ExaminedEpisode) -> Iterator[tuple[Kind, str]]:
-    press_n = float(row.observation[-1, _FZ])
+def _single_findings(
+    observation: NDArray[np.float32], quality: EpisodeQuality
+) -> Iterator[tuple[Kind, str]]:
+    press_n = float(observation[-1, _FZ])
     if not press_n >= CONTACT_N:
         known = np.isfinite(press_n)
         text = f"The press ended with {press_n:.2f} N." if known else "The press force is unknown."
         yield "no contact", text
-    forces = row.observation[:, _FX : _FX + 3].astype(np.float64)
+    forces = observation[:, _FX : _FX + 3].astype(np.float64)
     step = np.abs(forces[1:-1] - 0.5 * (forces[:-2] + forces[2:])).max(axis=1)
     worst = int(np.nanargmax(step)) if np.isfinite(step).any() else 0
     if step[worst] > JERK_N:
         at_s = (worst + 2) * TICK_S
         yield "jerk", f"The force jumps by {step[worst]:.1f} N at {at_s:.1f} s."
-    shift = float(np.nanmax(np.abs(row.observation[:, :TACTILE_CHANNELS]), initial=0.0))
+    shift = float(np.nanmax(np.abs(observation[:, :TACTILE_CHANNELS]), initial=0.0))
     if shift > SATURATED_PX:
         yield "saturated markers", f"A marker moved by {shift:.0f} px."
-    if row.quality.lost_markers > LOST_MARKERS:
-        yield "lost markers", f"{row.quality.lost_markers} markers were lost."
-    if row.quality.dropped_frames > DROPPED_FRAMES:
-        yield "dropped frames", f"{row.quality.dropped_frames} frames were lost."
+    if quality.lost_markers > LOST_MARKERS:
+        yield "lost markers", f"{quality.lost_markers} markers were lost."
+    if quality.dropped_frames > DROPPED_FRAMES:
+        yield "dropped frames", f"{quality.dropped_frames} frames were lost."
     skews = []
-    for finger, lag_s in zip(FINGERS, lags_s(row.observation), strict=True):
+    for finger, lag_s in zip(FINGERS, lags_s(observation), strict=True):
         if abs(lag_s) > LAG_S:
             way = "behind" if lag_s > 0 else "ahead of"
             skews.append(f"The {finger} gel is {1e3 * abs(lag_s):.0f} ms {way} the force.")
     if skews:
         yield "clock skew", " ".join(skews)
-    if row.quality.slip_mm > SLIP_MM:
-        yield "slip", f"The piece slipped by {row.quality.slip_mm:.2f} mm."
+    if quality.slip_mm > SLIP_MM:
+        yield "slip", f"The piece slipped by {quality.slip_mm:.2f} mm."
 
 
 def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:

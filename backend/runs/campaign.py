@@ -15,11 +15,20 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pydantic.dataclasses
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, items_deleted, uuid7
 from touchdown.backend.config import first_error
-from touchdown.backend.core import FloatArray, InputError, parse_json, read_only, write_atomically
+from touchdown.backend.core import (
+    MARKERS,
+    TACTILE_CHANNELS,
+    FloatArray,
+    InputError,
+    parse_json,
+    read_only,
+    write_atomically,
+)
 from touchdown.backend.episodes import (
     OBSERVATION_TOPIC,
     Coverage,
@@ -272,12 +281,29 @@ def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> 
     return labelled_coverage(dataset, kept, target.face, target.bottom)
 
 
+SignalExcerpt = tuple[float, float, float, float, float]
+
+
+def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
+    """Return marker shift u, v and Tx, Ty, Fz of the last tick, for display.
+
+    ``observation`` (20, 258) as in ``Episode``.
+    """
+    last = np.asarray(observation[-1], dtype=np.float64)
+    # Per axis the value of largest magnitude with its sign; NaN if a value is missing
+    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS).swapaxes(0, 1).reshape(2, -1)
+    u_px, v_px = (float(shift[np.argmax(np.abs(shift))]) for shift in shifts)
+    fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
+    return u_px, v_px, tx, ty, fz
+
+
 @dataclass(frozen=True, slots=True)
 class ProbeSummary:
-    """Probe as used by the quality checks, with its commanded displacement (mm)."""
+    """Probe as used by the quality checks, its commanded displacement (mm) and last signals."""
 
     examined: ExaminedEpisode
     commanded_mm: tuple[float, float]
+    signals: SignalExcerpt
 
 
 def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
@@ -293,9 +319,8 @@ def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
             observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
             commanded_mm = parse_json(contents.metadata["episode"]["offset_mm"])
     x_mm, y_mm = commanded_mm
-    return ProbeSummary(
-        ExaminedEpisode(entry.uuid, observation, label_mm, entry.quality), (x_mm, y_mm)
-    )
+    examined = ExaminedEpisode.of(entry.uuid, observation, label_mm, entry.quality)
+    return ProbeSummary(examined, (x_mm, y_mm), last_signal_excerpt(observation))
 
 
 def read_examined_episodes(

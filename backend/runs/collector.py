@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.backend import core
 from touchdown.backend.annotations import (
@@ -29,7 +28,13 @@ from touchdown.backend.config import CollectSettings
 from touchdown.backend.episodes import REST_KEY, Coverage, KeepFrames
 from touchdown.backend.runs import jig, messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
-from touchdown.backend.runs.campaign import Campaign, ProbeTarget, planned_displacement_mm, xy_mm
+from touchdown.backend.runs.campaign import (
+    Campaign,
+    ProbeTarget,
+    last_signal_excerpt,
+    planned_displacement_mm,
+    xy_mm,
+)
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
 from touchdown.backend.runs.probe import press_once, scene_pictures
 from touchdown.backend.runs.recorder import (
@@ -78,22 +83,6 @@ def measure_offset(
     )
     sigma_mm = math.hypot(settings.arm_sigma_mm, origin.sigma_mm, settings.grip_sigma_mm)
     return MeasuredOffset(np.array([x - origin.x_mm, y - origin.y_mm]), sigma_mm, z)
-
-
-SignalExcerpt = tuple[float, float, float, float, float]
-
-
-def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
-    """Return marker shift u, v and Tx, Ty, Fz of the last tick, for display.
-
-    ``observation`` (20, 258) as in ``Episode``.
-    """
-    last = np.asarray(observation[-1], dtype=np.float64)
-    # Per axis the value of largest magnitude with its sign; NaN if a value is missing
-    shifts = last[: core.TACTILE_CHANNELS].reshape(2, 2, core.MARKERS).swapaxes(0, 1).reshape(2, -1)
-    u_px, v_px = (float(shift[np.argmax(np.abs(shift))]) for shift in shifts)
-    fz, tx, ty = (float(last[core.TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
-    return u_px, v_px, tx, ty, fz
 
 
 class EpisodeRecorder(DiskWriter[EpisodeEntry]):

@@ -24,7 +24,7 @@ from tests.backend.annotations.conftest import (
     stored_label,
 )
 from tests.backend.annotations.test_packs_in_datasets import write_pack
-from tests.backend.episodes.test_quality import DISTURBED, simulated
+from tests.backend.episodes.test_quality import DISTURBED, Recorded, simulated
 from touchdown.backend.annotations import consistency, episode_files, operation_log, review
 from touchdown.backend.annotations.backups import restore_backup
 from touchdown.backend.annotations.database import SCHEMA_VERSION, Database
@@ -36,7 +36,7 @@ from touchdown.backend.annotations.reconciliation import reconcile
 from touchdown.backend.annotations.storage import DatasetInUseError, check_local_disk, file_system
 from touchdown.backend.annotations.values import EpisodeFilter, Label
 from touchdown.backend.core import Episode, FaultError, InputError, RefusedError
-from touchdown.backend.episodes import ExaminedEpisode, episode_mcap
+from touchdown.backend.episodes import episode_mcap
 
 SERIES = ("a", "b", "c")
 EACH = 3
@@ -356,12 +356,12 @@ def always(_done: int, _count: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def rows() -> list[ExaminedEpisode]:
+def rows() -> list[Recorded]:
     return simulated(30)
 
 
 @pytest.fixture
-def filled(dataset: Dataset, rows: list[ExaminedEpisode]) -> dict[str, str]:
+def filled(dataset: Dataset, rows: list[Recorded]) -> dict[str, str]:
     """Record the probes, each fault once; return the episode of each kind."""
     context, wrong, first = context_for(dataset, "pot", "circle25"), {}, ""
     for row, kind in zip_longest(rows, DISTURBED, fillvalue=""):

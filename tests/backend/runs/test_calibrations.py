@@ -54,8 +54,8 @@ from touchdown.backend.geometry import circle, load_pieces
 from touchdown.backend.runs import touch_probing
 from touchdown.backend.runs.calibrate import measure_board
 from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm
-from touchdown.backend.runs.campaign import Campaign
-from touchdown.backend.runs.collector import Collector, last_signal_excerpt, measure_offset
+from touchdown.backend.runs.campaign import Campaign, last_signal_excerpt
+from touchdown.backend.runs.collector import Collector, measure_offset
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_piece
 from touchdown.backend.runs.motions import REFERENCE_S, descent_start, release_evidence
 from touchdown.backend.runs.requests import CalibrateRequest, ProbeRequest, SceneChoice

@@ -263,12 +263,11 @@ class LayoutMenu:
     def _add(
         self, text: str, act: Callable[[], object] | None, *, checked: bool | None = None
     ) -> QAction:
-        made = QAction(tr(text).replace("&", "&&"), self.menu)
+        made = self.menu.addAction(tr(text).replace("&", "&&"))
         if checked is not None:
             made.setCheckable(True)
             made.setChecked(checked)
         if act is not None:
             # Drop the checked state, which the function does not take.
             made.triggered.connect(lambda _checked=False, run=act: run())
-        self.menu.addAction(made)
         return made

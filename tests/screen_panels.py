@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +39,7 @@ from touchdown.backend.core.faults import Fault, FaultError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.jog import JogRange, axes_of
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.identification.estimates import PARAMETERS
+from touchdown.backend.identification.estimates import NAMES, PARAMETERS
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.outcome import outcome_from_signals
@@ -358,7 +358,7 @@ def sheets(stage: Stage, folder: Path) -> Iterator[str]:
         motion = 1.30 + 0.02 * (day % 3) + (0.5 if day == 8 else 0.0)
         values = (63.0, 63.0, 0.025, 0.027, 0.1, 0.02 + 0.005 * (day % 4), 0.08, 0.15, motion, 1.38)
         check = replace(PAYLOAD, what="day", names=DAY_NAMES, values=values)
-        bench.day_checks.judge(check, datetime(2026, 3, 2 + day, 12, tzinfo=UTC))
+        bench.day_checks.judge(check, datetime.now(UTC) - timedelta(days=8 - day))
     wizard.open("day")
     stage.settle()
     yield "calibrate-day"
@@ -380,8 +380,9 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
     keys = (*list(PARAMETERS)[::2], "mu_grip")
     found = {
         "accepted": True, "reason": reason, "report": str(folder / "bench.html"),
-        "use": {k: "no, report only" if k.startswith("delay.") else "yes" for k in keys},
+        "use": {k: "no, not a setting" if k.startswith("delay.") else "yes" for k in keys},
         "estimates": {key: _estimate(key) for key in keys},
+        "names": NAMES,
     }  # fmt: skip
     wizard.identify.show_end(0, json.dumps(found))
     yield "identify-accepted"
@@ -407,11 +408,13 @@ def _devices(stage: Stage, file: Path, name: str) -> Iterator[str]:
     file.write_text(LAB, "utf-8")
     chosen = DevicesPresenter(bench, stage.main.window)
     chosen.open()
-    bench.connection = BenchConnection(scripted()[0])  # nothing is plugged in
+    hand, bench.connection = bench.hand, BenchConnection(scripted()[0])  # nothing is plugged in
+    bench.hand, bench.simulated = None, False
+    bench.frames["left"].clear(), bench.frames["right"].clear(), bench.wrench.clear()
     _show_state(stage, DeviceState.CLOSED)
     yield name
     bench.connection.close()
-    bench.connection = None
+    bench.hand, bench.simulated, bench.connection = hand, True, None
     _show_state(stage, DeviceState.READY)
     assert chosen.sheet is not None
     chosen.sheet.close()
@@ -422,7 +425,11 @@ def _show_state(stage: Stage, state: DeviceState) -> None:
     for device in stage.bench.devices.values():
         device.state = state
     stage.main._chips._drawn_s = float("-inf")
-    stage.live(0.0)
+    if state is DeviceState.READY:
+        stage.live(0.0)
+    else:
+        stage.bench._now_us += 11_000_000  # longer than the traces
+    stage.settle()
 
 
 def pauses(stage: Stage) -> Iterator[str]:

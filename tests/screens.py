@@ -29,7 +29,7 @@ from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations import AnswerContext, Dataset, Label
-from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
+from touchdown.backend.bench import SimulatedBenchChoice, shipped_model, simulated_session
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import (
     ActionChosen,
@@ -42,6 +42,7 @@ from touchdown.backend.core import (
     Said,
     TrialFinished,
 )
+from touchdown.backend.learning import load_card
 from touchdown.backend.runs import (
     CollectRequest,
     RecordingOptions,
@@ -58,6 +59,7 @@ THEMES = ("dark", "light", "contrast")
 # Of the recorded run and campaign. On bench-v2 the first trial of this seed is placed, and in the
 # second the piece falls.
 SEED, TRIALS, PROBES, CAMPAIGN_SEED = 3, 2, 8, 1
+AIR_S = 10.0  # clears the traces of earlier presses
 LIFTED_MM = 3.0  # height of the face between the probes of a run
 Told = TypeVar("Told", bound=Event)
 
@@ -246,6 +248,7 @@ class Stage:
         folder.mkdir()
         self.folder, self.recorded = folder, recorded
         self._application, self.bench = application, StandInBench()
+        self.bench.model = load_card(shipped_model("pot"))
         self.bench.contact_z_mm, self.bench.clear_mm = recorded.contact_z_mm, screen_panels.CLEAR_MM
         self.main = TouchdownApp(application, ErrorBox(), folder / "window.json", folder / "runs")
         self.main.look.show(theme, 1.0)
@@ -358,6 +361,7 @@ class Stage:
                                          "cancelled by the operator"))  # fmt: skip
         bench.set_state(RunState.IDLE, trial=0, trials=0, probe=0, phase="")
         self.live(0.0)
+        main.say("")  # nobody has cancelled a run in the states that follow
         collect.page.show_half("label")
         self.until(lambda: collect.label.presenter.present is not None)
         yield "label"
@@ -374,6 +378,8 @@ class Stage:
         main.go("stack")
         form, panel = RunForm(seed=SEED, trials=TRIALS), main.workspaces["stack"].page.run
         panel.show_form(form)
+        bench.press = 0.0
+        bench.turn(AIR_S)
         self.live(0.0)
         yield "stack-ready"
         run.until(PhaseEntered, phase="press")
@@ -439,6 +445,7 @@ class Stage:
         yield "stack-without-traces"
         main.layouts.reset("stack")
         main.layouts.toggle_lock()
+        main.say("")
         main.actions.action("save-layout").trigger()
         yield "dialog-name"
         main.layout_menu.asker.close()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QProcess, QUrl
+from PySide6.QtCore import QProcess, Qt, QUrl
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
 
@@ -21,6 +21,7 @@ from touchdown.widgets.base import Theme, hbox, label, set_property, tr
 from touchdown.widgets.lists import FigureTable
 
 PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
+TITLE = "Fit the simulated bench to this robot (Identify)"
 COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
     "Finds the values with which the simulated bench predicts recorded presses best. Record them "
@@ -35,7 +36,7 @@ class IdentifySheet(BenchSheet):
     """Dataset, progress, verdict and parameters. The fit runs in a process of its own."""
 
     def __init__(self, parent: QWidget, theme: Theme) -> None:
-        super().__init__(parent, "Identify the bench")
+        super().__init__(parent, TITLE)
         self.dataset = QLineEdit(str(dataset_folder()))
         self.dataset.setAccessibleName(tr("Dataset"))
         self.choose = QPushButton(tr("Choose\N{HORIZONTAL ELLIPSIS}"))
@@ -64,7 +65,7 @@ class IdentifySheet(BenchSheet):
         row = hbox(label("Dataset"), (self.dataset, 1), self.choose)
         texts = (self.verdict, self.note, (self.table, 1))
         foot = (self.begin, self.cancel, self.accept_it, self.report)
-        about = label("Identify the bench", "head"), label(ABOUT, "muted", wrap=True)
+        about = label(TITLE, "head"), label(ABOUT, "muted", wrap=True)
         self.arrange(*about, row, self.progress, *texts, foot=foot, spacing=10)
         self.note.hide()
         self.resize_to_em(44, 34)
@@ -98,10 +99,14 @@ class IdentifySheet(BenchSheet):
         tone = "good" if found.get("accepted") else "bad" if found or self._error else ""
         set_property(self.verdict, "tone", tone)
         self.table.show_rows([
-            (key, f"{_rounded(value, 4)} {unit}".removesuffix(" 1"), _rounded(sigma, 2),
-             tr(found["use"][key]))
+            (tr(found["names"][key]), f"{_rounded(value, 4)} {unit}".removesuffix(" 1"),
+             _rounded(sigma, 2), tr(found["use"][key]))
             for key, (value, sigma, unit) in found.get("estimates", {}).items()
         ])  # fmt: skip
+        for row, key in enumerate(found.get("estimates", ())):
+            self.table.model().setData(
+                self.table.model().index(row, 0), key, Qt.ItemDataRole.ToolTipRole
+            )
         self._page = found.get("report", "")
         self.report.setEnabled(bool(found))
         self.note.hide()

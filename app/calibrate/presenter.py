@@ -86,6 +86,10 @@ class CalibratePresenter:
             self.sheet = CalibrateSheet(self._window, self._theme, form)
             self.sheet.group.idClicked.connect(self._choose)
             self.sheet.measure.clicked.connect(self._measure)
+            ask = self.sheet.question.ask
+            self.sheet.open_it.clicked.connect(
+                lambda: shell.open_gripper(self._bench, self._cards, ask)
+            )
             for button in (self.sheet.cancel, self.sheet.question.no):
                 button.clicked.connect(lambda: self._bench.engine.cancel())
             self.sheet.accept_it.clicked.connect(self._accept)
@@ -194,14 +198,13 @@ class CalibratePresenter:
         what, active = self._chosen, shell.is_run_active(self._bench)
         mine = self._running == what
         why = NO_STORE if self._bench.calibrations is None else shell.start_obstacle(self._bench)
-        gripper, said = shell.gripper_of(self._bench), self._said.get(what, "")
-        if gripper is not None and gripper.status().holding and not active:
-            # Simulated and emulated benches set a new scene for each run.
-            if self._bench.connection is not None:
-                why = why or tr("The gripper holds a piece: put it away, then open the gripper")
-            elif what not in self._measured and not (what == "day" and self._history):
-                held = "The gripper holds a piece: Measure first puts it back in its jig."
-                said = said or tr(held)
+        hand, gripper, held = self._bench.hand, shell.gripper_of(self._bench), False
+        holds = gripper is not None and gripper.status().holding and not active
+        opens = holds and hand is not None and not why
+        if holds and self._bench.connection is not None:
+            why = why or tr("The gripper holds a piece: take hold of it, then press Open gripper")
+        elif holds and what not in self._measured:
+            held = True  # a simulated bench sets a new scene for each run
         return CalibrationView(
             rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),
             what=what,
@@ -209,9 +212,11 @@ class CalibratePresenter:
             progress=self._progress if mine else None,
             live=self._live(),
             empty=self._empty(what),
-            said=said,
+            said=self._said.get(what, ""),
             busy=active,
             why=tr("A run is going on") if active else why,
+            held=held,
+            opens=opens,
             history=self._history if what == "day" else (),
         )
 

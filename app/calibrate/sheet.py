@@ -89,6 +89,8 @@ class PlaceForm(QWidget):
 DAY_NAMES = {"stiffness_px_n": "marker motion", "noise_n": "wrist noise"}
 DAY_COLOURS = ("axis_x", "axis_y", "axis_z", "good", "text", "scene")
 AFTER_FAILED = "Then press Measure to check again."
+HELD = "The gripper holds a piece: Measure first puts it back in its jig."
+AFTER_HELD = "Then press Measure to check again: it first puts the held piece back in its jig."
 AFTER_PASSED = "Nothing to do: check again tomorrow."
 HIGHEST_SHARE = 3.0  # of a limit, in the plot
 
@@ -118,12 +120,12 @@ def history_lines(checks: Sequence[DayCheck]) -> list[CurveLine]:
 
 STEPS: dict[CalibrationName, tuple[str, ...]] = {
     "payload": (
-        "Empty the gripper (Open on Operate) and leave 60 mm of free height above it.",
+        "Empty the gripper and leave 60 mm of free height above it.",
         "The hand rises, leans 14° in six poses and is weighed in each.",
         "It levels again. Compare mass and centre with the data sheet, then accept.",
     ),
     "wrist": (
-        "Empty the gripper (Open on Operate) and leave 60 mm of free height above it.",
+        "Empty the gripper and leave 60 mm of free height above it.",
         "The hand leans in six poses: gravity shows how the sensor is turned.",
         "Beyond 2° the settings are wrong: correct ft.rotation, then repeat.",
     ),
@@ -143,7 +145,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
         "Exchanged fingers and mirrored pictures are put right from the next start on.",
     ),
     "day": (
-        "Empty the gripper (Open on Operate). The piece waits in its jig, or is handed over.",
+        "Empty the gripper. The piece waits in its jig, or is handed over.",
         "Markers and wrist sensor rest for 20 s; then the piece is pressed four times.",
         "The result is stored. Out of limits, you are asked before each release until one passes.",
     ),
@@ -157,7 +159,8 @@ class CalibrationView:
     ``rows`` holds (condition, tone) per calibration, ``what`` is the selected one. ``found`` is its
     result that waits to be accepted; ``empty`` is shown without one. ``progress`` is set while it
     is measured. ``said`` is the last message. ``why`` is the reason why no measurement can start,
-    "" if one can. ``history``: daily checks, where they are selected.
+    "" if one can. ``held``: Measure first puts a held piece back, ``opens``: the gripper can be
+    opened here. ``history``: daily checks, where they are selected.
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -169,6 +172,8 @@ class CalibrationView:
     said: str
     busy: bool
     why: str
+    held: bool = False
+    opens: bool = False
     history: tuple[DayCheck, ...] = ()
 
 
@@ -194,10 +199,12 @@ class CalibrateSheet(BenchSheet):
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
         self.measure, self.cancel = QPushButton(tr("Measure")), QPushButton(tr("Cancel"))
+        self.open_it = QPushButton(tr("Open gripper"))
         self.accept_it, self.identify = QPushButton(tr("Accept")), QPushButton(tr("Identify"))
         self._pictures = QWidget()
         self.cancel.setToolTip(tr("End in an orderly way: lift, keep the piece"))
         self.accept_it.setToolTip(tr("Keep the result as a file that expires"))
+        self.open_it.setToolTip(tr("Open the jaws; asks first while a piece is held"))
         self.identify.setToolTip(tr("Fit the simulated bench to recorded presses"))
         self._arrange()
 
@@ -228,7 +235,7 @@ class CalibrateSheet(BenchSheet):
         self.progress.setMaximum(max(progress.total, 1))
         self.progress.setValue(progress.done)
         self.progress.setFormat(progress.text)
-        parts = attrgetter("what", "found", "empty", "said", "why", "history")
+        parts = attrgetter("what", "found", "empty", "said", "why", "busy", "held", "history")
         if before is None or parts(before) != parts(look):
             self._show_result(look)
         self._show_buttons(look)
@@ -244,8 +251,10 @@ class CalibrateSheet(BenchSheet):
             for check in look.history[-1:]:
                 out, rows = check.findings, check.rows()
                 figure = tr("{}: out of limits." if out else "{}: within limits.", check.day)
-                tone, after = ("bad", AFTER_FAILED) if out else ("good", AFTER_PASSED)
-                said = said or "\n".join((*out.values(), tr(after)))
+                failed = AFTER_HELD if look.held else AFTER_FAILED
+                tone, after = ("bad", failed) if out else ("good", AFTER_PASSED)
+                again = () if look.why else (tr(after),)
+                said = said or "\n".join((*out.values(), *again))
         elif found is not None:
             figure = tr("Residual {}.", format_residual(found.residual, found.limit, found.unit))
             tone = "good" if found.residual <= found.limit else "bad"
@@ -263,7 +272,9 @@ class CalibrateSheet(BenchSheet):
         self.figure.setText(figure)
         self.figure.setVisible(bool(figure))
         set_property(self.figure, "tone", tone)
-        self.note.setText(said or (f"{look.why}." if look.why and not look.busy else ""))
+        why = f"{look.why}." if look.why and not look.busy else ""
+        held = tr(HELD) if look.held and not look.history else ""
+        self.note.setText("\n".join(filter(None, (said, why, held))))
         self.note.setVisible(bool(self.note.text()))
         set_property(self.note, "tone", "bad" if found is not None and found.obstacle else "")
 
@@ -275,14 +286,19 @@ class CalibrateSheet(BenchSheet):
         can_accept = look.found is not None and look.found.acceptable and not look.busy
         self.accept_it.setEnabled(can_accept)
         set_property(self.accept_it, "role", "primary" if can_accept else "")
-        set_property(self.measure, "role", "" if can_accept else "primary")
+        self.open_it.setVisible(look.opens)
+        opens = look.opens and bool(look.why) and not can_accept
+        set_property(self.open_it, "role", "primary" if opens else "")
+        set_property(self.measure, "role", "" if can_accept or opens else "primary")
         for widget in (self.form, *self.choices):
             widget.setEnabled(not look.busy)
 
     def _arrange(self) -> None:
         body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
         self.arrange(
-            (body, 1), foot=(self.measure, self.cancel, self.accept_it, self.identify), spacing=10
+            (body, 1),
+            foot=(self.open_it, self.measure, self.cancel, self.accept_it, self.identify),
+            spacing=10,
         )
         self.resize_to_em(54, 38)
 

@@ -116,16 +116,11 @@ class ManualControlPresenter:
 
     def open(self) -> None:
         """Open the gripper; while it holds a piece, ask first."""
-        status = self._grip_status()
-        if status is not None and status.holding:
 
-            def let_go() -> None:
-                self._ordered(lambda hand: hand.open(confirmed=True))
+        def ask(text: str, no: str, yes: str, act: Callable[[], None]) -> None:
+            self._cards.ask(CardQuestion(text, ((no, lambda: None), (yes, act))))
 
-            answers = (("Keep holding", lambda: None), ("Open and let it go", let_go))
-            self._cards.ask(CardQuestion("A piece is held. Opening lets it go.", answers))
-        else:
-            self._ordered(lambda hand: hand.open(confirmed=False))
+        shell.open_gripper(self._bench, self._cards, ask)
 
     def zero(self) -> None:
         """Zero force and moment."""
@@ -229,16 +224,12 @@ class ManualControlPresenter:
         return f"{state.speed:.1f} mm/s"
 
     def _draw_gripper(self) -> None:
-        status, hand = self._grip_status(), self._bench.hand
-        if status is not None and hand is not None:
-            moving = hand.active and not hand.jog.active
-            self._page.gripper.show_status(
-                status.width_mm, status.force_n, holding=status.holding, moving=moving
-            )
-
-    def _grip_status(self) -> devices.GripStatus | None:
-        gripper = shell.gripper_of(self._bench)
-        return None if gripper is None else gripper.status()
+        gripper, hand, panel = shell.gripper_of(self._bench), self._bench.hand, self._page.gripper
+        if gripper is None or hand is None:
+            panel.show_no_data()
+            return
+        status, moving = gripper.status(), hand.active and not hand.jog.active
+        panel.show_status(status.width_mm, status.force_n, holding=status.holding, moving=moving)
 
     def _frame(self) -> devices.Frame:
         return devices.FRAMES[self._page.jog.frame.currentIndex()]

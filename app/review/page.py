@@ -63,7 +63,8 @@ class ReviewPage(WorkspacePage):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
-        self.story.setVerticalScrollMode(self.story.ScrollMode.ScrollPerItem)  # whole rows
+        # By pixels: whole rows would leave free room below the last one.
+        self.story.setVerticalScrollMode(self.story.ScrollMode.ScrollPerPixel)
         self.decision = DecisionPanel()
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)
         self.score = ScorePanel(theme, "Outcomes")
@@ -151,9 +152,9 @@ class ReviewPage(WorkspacePage):
         panel.column.addLayout(hbox(self.play, (self.time_line, 1)))
         panel.header.addWidget(self.at)
         self.bookmark = flat_button("Bookmark", "Note at the cursor: add, change or remove (B)")
-        self.picture = flat_button("Picture", "Export what is shown as PNG and SVG (Ctrl+E)")
-        self.table = flat_button("Table", "Export the probes as CSV (Ctrl+Shift+E)")
-        self.html = flat_button("Page", "Export picture and probes as one HTML page")
+        self.picture = flat_button("Save picture", "Save what is shown as PNG and SVG (Ctrl+E)")
+        self.table = flat_button("Save table", "Save the probes as CSV (Ctrl+Shift+E)")
+        self.html = flat_button("Save page", "Save picture and probes as one HTML page")
         viewer = "Open the file in the viewer of this computer (Ctrl+O)"
         self.viewer = flat_button("Open file", viewer)
         exports = self.picture, self.table, self.html, self.viewer

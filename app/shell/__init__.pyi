@@ -18,6 +18,7 @@ from .bench_text import bench_caption as bench_caption
 from .bench_text import duration_text as duration_text
 from .bench_text import model_card_in_use as model_card_in_use
 from .bench_text import piece_titles as piece_titles
+from .bench_text import probe_count as probe_count
 from .bench_text import run_model_caption as run_model_caption
 from .bench_text import scene_model_caption as scene_model_caption
 from .bench_text import tower_text as tower_text
@@ -32,6 +33,7 @@ from .cards import exit_after_timeout as exit_after_timeout
 from .cards import is_pressing as is_pressing
 from .cards import lift_hand as lift_hand
 from .cards import log_event as log_event
+from .cards import open_gripper as open_gripper
 from .cards import show_event as show_event
 from .cards import stopped_card as stopped_card
 from .cards import time_of_day as time_of_day

@@ -92,9 +92,10 @@ def scene_model_caption(card: ModelCard | None, piece: str, *, simulated: bool) 
     taken = "Set (Ctrl+N), or a stacking run, takes the one in use: {}."
     then = tr(taken if simulated else "A stacking run takes the one in use: {}.",
               card_caption(used).short)  # fmt: skip
-    return ModelCaption(
-        tr("{}; next run: {}", tr(here.short), _model_origin(used)), f"{tr(here.full)}\n{then}"
-    )
+    origin, short = _model_origin(used), tr("{}, loaded by the next run", _model_origin(used))
+    if card is not None:
+        short = tr("{}; next run: {}", here.short, origin)
+    return ModelCaption(short, f"{tr(here.full)}\n{then}")
 
 
 def model_card_in_use(piece: str) -> ModelCard:
@@ -104,7 +105,7 @@ def model_card_in_use(piece: str) -> ModelCard:
 
 def card_caption(card: ModelCard) -> ModelCaption:
     """Return origin, accuracy and training data of a model."""
-    probes, found = _probe_count(card), card.metrics.get("validation", {}).get("iou")
+    probes, found = probe_count(card), card.metrics.get("validation", {}).get("iou")
     iou = "" if found is None else f"IoU {100 * found:.0f} %"
     trained = count_noun(probes, "probe") if probes else ""
     short = (_model_origin(card), iou, "" if _is_shipped(card) else trained)
@@ -155,7 +156,7 @@ def _is_shipped(card: ModelCard) -> bool:
         return False
 
 
-def _probe_count(card: ModelCard) -> int:
+def probe_count(card: ModelCard) -> int:
     """Return the number of training probes of both sides; 0 if unknown."""
     counts = card.data.get("episodes")
     values = counts.values() if isinstance(counts, dict) else (counts,)

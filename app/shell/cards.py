@@ -40,6 +40,21 @@ def lift_hand(bench: Session, cards: FaultCards) -> None:
         carry_out(lambda: hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S), cards)
 
 
+def open_gripper(bench: Session, cards: FaultCards, ask: Callable[..., None]) -> None:
+    """Open the gripper; ask first while it holds a piece.
+
+    ``ask`` gets the question, both answers and the action of the second one.
+    """
+    hand = bench.hand
+    if hand is None:
+        return
+    if hand.holding:
+        ask("A piece is held. Opening lets it go.", "Keep holding", "Open and let it go",
+            lambda: carry_out(lambda: hand.open(confirmed=True), cards))  # fmt: skip
+    else:
+        carry_out(lambda: hand.open(confirmed=False), cards)
+
+
 def is_pressing(bench: Session) -> bool:
     """Return True if a held piece presses on something and no run moves it."""
     return bench.hand is not None and bool(bench.hand.pressing_n) and not is_run_active(bench)

@@ -31,8 +31,8 @@ class TrainPage(WorkspacePage):
         self.split = FigureTable(theme, "Episodes per bottom", ("bottom", "train", "held out"))
         self.leaks = base.ScrollingNote("What the split leaks")
         self.loss = CurvePlot(theme, "Loss per epoch (nats a point)")
-        self.iou = CurvePlot(theme, "IoU per epoch", 1.0)
-        self.accuracy = CurvePlot(theme, "Points right per epoch", 1.0)
+        self.iou = CurvePlot(theme, "IoU per epoch (%)", percent=True)
+        self.accuracy = CurvePlot(theme, "Points right per epoch (%)", percent=True)
         self.reliability = ReliabilityPlot(theme)
         self.samples = SampleStrip(theme)
         yield

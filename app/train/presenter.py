@@ -327,13 +327,13 @@ class TrainPresenter:
         use, card = self.in_use, None if run is None else run.card
         used = card is not None and use is not None and words.is_in_use(card, use)
         page.promote.setEnabled(card is not None and not used)
-        one = tr("Train again, or choose one to promote it.") if run is None and self.runs else ""
+        one = tr("Choose one training to promote it.") if run is None and self.runs else ""
         page.promote.setToolTip(one or tr("Put the chosen model in use for its piece (Ctrl+P)"))
         page.roll_back.setEnabled(use is not None and use.before is not None)
         page.in_use.setText(words.model_in_use_text(use))
         alone = words.autonomy_text(use.probes if use else None)
         compared = words.comparison_text(self._chosen(), use)
-        page.autonomy.setText(f"{alone}\n{compared} {one}".strip())
+        page.autonomy.setText(f"{alone}\n{compared or one}".strip())
         for line in (page.in_use, page.autonomy):
             line.setVisible(bool(line.text()))
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from touchdown.app.shell import duration_text, error_card
+from touchdown.app.shell import duration_text, error_card, probe_count
 from touchdown.app.train.reading import ModelInUse
 from touchdown.backend.core import FaultError, InputError
 from touchdown.backend.episodes import group_noun
@@ -32,6 +32,13 @@ COMPARED = {
     "": "Above the model in use (IoU {:.0f} %): {}.",
     FEW: "Above the model in use (IoU {:.0f} %), but tested on few probes: {}.",
     WORSE: "Below the model in use (IoU {:.0f} %): {}.",
+}
+# By (all had fewer probes than the model in use, the loss of one still fell at its end).
+AGAIN = {
+    (True, True): "Train again with more labels or epochs.",
+    (True, False): "Train again with more labels.",
+    (False, True): "Train again with more epochs.",
+    (False, False): "Train again with other settings.",
 }
 NOTHING = "\N{EN DASH}"
 SETTINGS = {
@@ -100,7 +107,10 @@ def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
 
 
 def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> str:
-    """Return how finished trainings compare with the model in use, "" if its IoU is unknown."""
+    """Return how finished trainings compare with the model in use, and what follows from it.
+
+    "" if the IoU of the model in use is unknown.
+    """
     used = None if in_use is None else in_use.card
     if in_use is None or used is None or not _test(used)[1]:
         return ""
@@ -108,8 +118,23 @@ def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> s
     for mark, run in zip(LETTERS if len(runs) > 1 else (tr("this training"),), runs, strict=False):
         if run.card and run.card.piece == in_use.piece and not is_in_use(run.card, in_use):
             found[COMPARED[_shortfall(run.card, used)]].append(mark)
-    percent = 100 * _test(used)[0]
-    return " ".join(tr(text, percent, ", ".join(marks)) for text, marks in found.items() if marks)
+    percent, below = 100 * _test(used)[0], found[COMPARED[WORSE]]
+    said = [tr(text, percent, ", ".join(marks)) for text, marks in found.items() if marks]
+    better = [mark for marks in found.values() if marks is not below for mark in marks]
+    if better and len(runs) > 1:
+        several = "Choose one of {} alone to promote it."
+        one = several if len(better) > 1 else "Choose {} alone to promote it."
+        said.append(tr(one, ", ".join(better)))
+    elif below and not better:
+        cards = [run.card for run in runs if run.card]
+        fewer = all(probe_count(card) < probe_count(used) for card in cards)
+        said.append(tr(AGAIN[fewer, any(_still_fell(run) for run in runs)]))
+    return " ".join(said)
+
+
+def _still_fell(run: TrainingRun) -> bool:
+    """Return True if the last epoch of a training was its best."""
+    return run.best_epoch == len(run.curves.get("validation_loss", ())) > 0
 
 
 def _shortfall(card: ModelCard, used: ModelCard) -> str:
@@ -136,9 +161,9 @@ def autonomy_text(probes: int | None) -> str:
     if probes is None:
         return ""
     if probes >= HARDWARE_PROBES:
-        return tr("Auto on hardware: evaluated on {} hardware probes.", probes)
-    asks = "On hardware use approve or step mode only: evaluated on {} of {} hardware probes."
-    return tr(asks, probes, HARDWARE_PROBES)
+        return tr("Tested on {}: auto mode on hardware.", count_noun(probes, "hardware probe"))
+    asks = "Tested on {} ({} needed): on hardware, use it in approve or step mode only."
+    return tr(asks, count_noun(probes, "hardware probe"), HARDWARE_PROBES)
 
 
 def split_text(overview: TrainingSetOverview) -> str:
@@ -156,14 +181,15 @@ def split_rows(overview: TrainingSetOverview) -> list[tuple[str, str, str]]:
 
 
 def curve_lines(runs: Sequence[TrainingRun], name: str) -> list[CurveLine]:
-    """Return a metric of the chosen runs; for a single one, the loss of both sides."""
+    """Return a metric of the chosen runs, shares in %; for a single one, both losses."""
     if len(runs) == 1 and name == "validation_loss":
         train, valid = (_points(runs[0].curves.get(key, ())) for key in ("train_loss", name))
         return [CurveLine(tr("train"), train, RUN_COLOURS[1], dashed=True),
                 CurveLine(tr("valid."), valid, RUN_COLOURS[0])]  # fmt: skip
     marks = LETTERS if len(runs) > 1 else ("",)
+    scale = 1.0 if name == "validation_loss" else 100.0
     return [
-        CurveLine(mark, _points(run.curves.get(name, ())), token, dashed=at == 1)
+        CurveLine(mark, _points(run.curves.get(name, ()), scale), token, dashed=at == 1)
         for at, (run, mark, token) in enumerate(zip(runs, marks, RUN_COLOURS, strict=False))
     ]
 
@@ -250,8 +276,8 @@ def _pair(figures: Mapping[str, Any] | None) -> str:
     return f"{_per_cent(figures['iou'])} / {_per_cent(figures['point_accuracy'])}"
 
 
-def _points(curve: Curve) -> tuple[tuple[float, float], ...]:
-    return tuple((float(step), value) for step, value in curve)
+def _points(curve: Curve, scale: float = 1.0) -> tuple[tuple[float, float], ...]:
+    return tuple((float(step), scale * value) for step, value in curve)
 
 
 def _per_cent(value: float) -> str:

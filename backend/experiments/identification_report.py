@@ -69,6 +69,7 @@ def identify_dataset(
         "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
         "used": list(found.used), "use": {e.key: found.use(e) for e in found.estimates},
         "estimates": {e.key: [e.value, e.sigma, e.unit] for e in found.estimates},
+        "names": {e.key: e.name for e in found.estimates},
     }  # fmt: skip
 
 
@@ -122,7 +123,7 @@ def _parameters(rows: list[Estimate], found: Identification) -> ReportTable:
     columns = (("value", "95 % interval"), ("standard uncertainty", "share of the prior's"),
                ("prior", ""), ("unit", ""), ("in the bench file", ""))  # fmt: skip
     entries = tuple(
-        (e.key, (
+        (f"{e.name} ({e.key})", (
             TableEntry(f"{e.value:.4g}", f"({e.low:.4g} to {e.high:.4g})"),
             TableEntry(f"{e.sigma:.2g}", f"{e.sharpness:.2f}"),
             TableEntry(f"{e.prior[0]:g} to {e.prior[1]:g}"),

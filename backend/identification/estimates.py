@@ -1,6 +1,6 @@
 """Estimates with intervals, and the parameters that each recording plan identifies.
 
-``resources/identification.toml`` lists unit, stage, plan and prior range of every parameter.
+``resources/identification.toml`` lists unit, stage, plan, prior range and name of every parameter.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ _LISTS = read_toml(Path(str(files("touchdown.resources"))) / "identification.tom
 # Key: unit, stage, recording, prior range
 PARAMETERS: dict[str, tuple[str, int, str, float, float]] = {
     key: (unit, stage, f"collect --plan {plan}", low, high)
-    for key, (unit, stage, plan, low, high) in _LISTS["parameters"].items()
+    for key, (unit, stage, plan, low, high, _) in _LISTS["parameters"].items()
 }
+NAMES: dict[str, str] = {key: row[-1] for key, row in _LISTS["parameters"].items()}
 # Parameters that no plan identifies, with the recording that would.
 OTHER_RECORDINGS: tuple[tuple[str, str], ...] = tuple(_LISTS["others"].items())
 
@@ -44,6 +45,11 @@ class Estimate:
     sigma: float
     low: float
     high: float
+
+    @property
+    def name(self) -> str:
+        """Displayed name."""
+        return NAMES[self.key]
 
     @property
     def unit(self) -> str:

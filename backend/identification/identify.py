@@ -95,7 +95,9 @@ class Identification:
         """Return "yes" if an estimate goes into the bench file, else "no" with the reason."""
         if one.key in self.used:
             return "yes"
-        return "no, report only" if one.sharpness < USEFUL_SHARPNESS else "no, too uncertain"
+        if one.sharpness >= USEFUL_SHARPNESS:
+            return "no, too uncertain"
+        return "no, not a setting" if self.gate.accepted else "no, bench refused"
 
     def ranges(self) -> dict[str, list[float]]:
         """Return the 95 % interval of each parameter in use, as ranges for randomisation."""

@@ -79,9 +79,12 @@ class StandInDevice:
         return Health(self.rate_hz, 0.012, self.received, self.lost)
 
     def status(self):
+        closed = self.state is DeviceState.CLOSED
+        if self.name == "arm" and closed:
+            return ArmStatus(RobotMode.DISCONNECTED, SafetyMode.UNKNOWN, 0.0, 0)
         if self.name == "arm":
             return ArmStatus(self.mode, SafetyMode.NORMAL, 1.0, 0)
-        return GripStatus(self.width_mm, 10.0, True)
+        return GripStatus(self.width_mm, 10.0, not closed)
 
     def describe(self):
         return {}

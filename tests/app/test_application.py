@@ -80,12 +80,29 @@ def test_calibration_says_what_becomes_of_a_held_piece(live, bench, tmp_path, mo
     assert sheet.title.text() == "Calibrate: Payload"
     assert "Measure first puts it back in its jig" in sheet.note.text()
     assert sheet.measure.isEnabled()
+    assert sheet.open_it.isHidden()  # without a hand
     # Devices keep what they hold.
     monkeypatch.setattr(bench, "connection", SimpleNamespace(busy=False))
-    monkeypatch.setattr(bench, "hand", SimpleNamespace(powered=True, pressing_n=0.0))
+    opened = []
+    hand = SimpleNamespace(
+        powered=True, pressing_n=0.0, holding=True, open=lambda confirmed: opened.append(confirmed)
+    )
+    monkeypatch.setattr(bench, "hand", hand)
     wizard.draw(at_once=True)
-    assert "put it away" in sheet.note.text()
+    assert "press Open gripper" in sheet.note.text()
     assert not sheet.measure.isEnabled()
+    assert [one.property("role") for one in (sheet.open_it, sheet.measure)] == ["primary", ""]
+    sheet.open_it.click()
+    assert sheet.question.text.text() == "A piece is held. Opening lets it go."
+    sheet.question.no.click()
+    assert opened == []
+    sheet.open_it.click()
+    sheet.question.yes.click()
+    assert opened == [True]
+    hand.pressing_n = 5.0
+    wizard.draw(at_once=True)
+    assert sheet.open_it.isHidden()
+    assert "In contact" in sheet.note.text()
     sheet.close()
 
 
@@ -413,7 +430,7 @@ def test_train_compare_promote_and_roll_back(desk):
     wrench, both = list_training_runs(desk.data)
     assert [r.card.modality for r in (wrench, both)] == ["FT", "FT+Tac"]
     assert page.runs.chosen() == (wrench.uuid,)
-    assert page.iou.lines[0].points[-1] == (EPOCHS, wrench.value("iou", EPOCHS))
+    assert page.iou.lines[0].points[-1] == (EPOCHS, 100 * wrench.value("iou", EPOCHS))
     assert [line.name for line in page.loss.lines] == ["train", "valid."]
     assert sum(n for *_, n in wrench.reliability[wrench.best_epoch]) > 0
     assert page.reliability.lines[0].points

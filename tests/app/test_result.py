@@ -118,6 +118,9 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     found = {"accepted": True, "reason": "Accepted: 30 %.",
              "use": {"mu_grip": "yes", "wrist.white_n": "no, too uncertain",
                      "wrist.rate_hz": "yes"},
+             "names": {"mu_grip": "Friction of the finger pads",
+                       "wrist.white_n": "Noise of the wrist force",
+                       "wrist.rate_hz": "Rate of the wrist sensor"},
              "report": str(tmp_path / "bench.html"),
              "estimates": {"mu_grip": [0.7, 0.01, "1"], "wrist.white_n": [0.1, 0.1, "N"],
                            "wrist.rate_hz": [24351.2, 163.0, "Hz"]},
@@ -125,9 +128,11 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     sheet.show_end(0, json.dumps(found))
     assert sheet.verdict.text() == "Accepted: 30 %."
     assert sheet.table.texts() == [
-        ["mu_grip", "0.7", "0.01", "yes"], ["wrist.white_n", "0.1 N", "0.1", "no, too uncertain"],
-        ["wrist.rate_hz", "24350 Hz", "160", "yes"],
-    ]  # fmt: skip
+        ["Friction of the finger pads", "0.7", "0.01", "yes"],
+        ["Noise of the wrist force", "0.1 N", "0.1", "no, too uncertain"],
+        ["Rate of the wrist sensor", "24350 Hz", "160", "yes"],
+    ]
+    assert sheet.table.item(1, 0).toolTip() == "wrist.white_n"
     sheet._draft = tmp_path / "draft.toml"
     sheet._draft.write_text("preset = 'mixed'\n")
     sheet.accept_it.click()
@@ -260,7 +265,7 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
     assert sheet.figure.text().endswith(": out of limits.")
     assert sheet.note.text() == (
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
-        "the table.\nThen press Measure to check again."
+        "the table.\nThen press Measure to check again: it first puts the held piece back in its jig."
     )
     cross = "\N{MULTIPLICATION X}"
     assert sheet.table.texts() == [

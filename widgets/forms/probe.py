@@ -184,7 +184,7 @@ class GripperPanel(base.Panel):
 
     def __init__(self) -> None:
         super().__init__("Gripper")
-        self.figures = base.label("No data yet")
+        self.figures = base.label("No data")
         self.force = decimal_box(LEAST_N, MOST_N, decimals=1)
         self.force.setValue(USUAL_N)
         self.force.setSuffix(" N")
@@ -205,6 +205,10 @@ class GripperPanel(base.Panel):
         """Show width, force per finger and state."""
         word = base.tr("moving" if moving else "holding a piece" if holding else "empty")
         self.figures.setText(f"{width_mm:.1f} mm   {force_n:.1f} N   {word}")
+
+    def show_no_data(self) -> None:
+        """Show that nothing is known, as without a connection."""
+        self.figures.setText(base.tr("No data"))
 
     def show_ready(self, ready: bool) -> None:
         """Enable or disable the buttons."""

@@ -18,7 +18,7 @@ from touchdown.widgets.forms.fields import (
     whole_box,
 )
 
-NO_BODY = "nothing"
+NO_BODY = "table"
 STRATEGIES = (
     ("paper", "Probe and believe"),
     ("paper-calibrated", "Probe and believe, calibrated"),
@@ -110,7 +110,11 @@ class RunPanel(base.Panel):
             0,
             ("Piece", self._piece, "Piece in the gripper; its geometry is known"),
             ("Bottom", self._bottom, "Body to stack on; its shape is unknown to the method"),
-            ("Below it", self._under, "Second body under the bottom, for a tower"),
+            (
+                "Stands on",
+                self._under,
+                "Body under the bottom: the table, or a second one for a tower",
+            ),
         )
         fields.add_halves(
             3,

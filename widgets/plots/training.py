@@ -103,27 +103,25 @@ class _TrainingPlot(PictureView):
 
 
 class CurvePlot(_TrainingPlot):
-    """Values over epochs. The best epoch is marked; ``top`` limits the range (1 for shares)."""
+    """Values over epochs. The best epoch is marked; ``percent``: values up to 100."""
 
-    def __init__(self, theme: Theme, name: str, top: float | None = None) -> None:
+    def __init__(self, theme: Theme, name: str, *, percent: bool = False) -> None:
         super().__init__(theme, name)
-        self._top = top
+        self._top, self._digits = (100.0, 1) if percent else (math.inf, 3)
         self.best = self.epochs = 0
 
     def show_lines(self, lines: Sequence[CurveLine], epochs: int, best: int = 0) -> None:
         """Show curves up to ``epochs``; ``best``: epoch to mark, 0 for none."""
         self.epochs, self.best = epochs, best
-        self._show(lines, (f"{one.name} {one.points[-1][1]:.3f}" for one in lines if one.points))
+        self._show(lines, (self._ending(one) for one in lines if one.points))
 
     def area(self) -> axes.PlotArea:
         """Return the area of the curves, in epochs and values."""
         values = [y for one in self.lines for _, y in one.points if math.isfinite(y)]
         low, high = (min(values), max(values)) if values else (0.0, 1.0)
-        gap = max(0.08 * (high - low), 0.01)
-        low, high = max(low - gap, 0.0), high + gap
-        if self._top is not None:
-            high = min(high, self._top)
-        room = self._beside(_ending(one) for one in self.lines if one.points)
+        gap = max(0.08 * (high - low), 10.0 ** (1 - self._digits))
+        low, high = max(low - gap, 0.0), min(high + gap, self._top)
+        room = self._beside(self._ending(one) for one in self.lines if one.points)
         return self._area((1.0, float(max(self.epochs, LEAST_EPOCHS))), (low, high), room)
 
     def paint(self, painter: QPainter) -> None:
@@ -148,7 +146,10 @@ class CurvePlot(_TrainingPlot):
         for one, y in zip(drawn, places, strict=True):
             painter.setPen(self._theme.tokens.colour(one.token))
             box = QRectF(area.rect.right() + 5, y - height / 2, self.width(), height)
-            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), _ending(one))
+            painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), self._ending(one))
+
+    def _ending(self, line: CurveLine) -> str:
+        return f"{line.name} {line.points[-1][1]:.{self._digits}f}".strip()
 
 
 class ReliabilityPlot(_TrainingPlot):
@@ -183,10 +184,6 @@ class ReliabilityPlot(_TrainingPlot):
             box = left.adjusted(0, row * metrics.height() * (2 if wide else 1), 0, 0)
             wrap = Qt.TextFlag.TextWordWrap
             painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft | wrap), one.name)
-
-
-def _ending(line: CurveLine) -> str:
-    return f"{line.name} {line.points[-1][1]:.3f}".strip()
 
 
 GAP = 8

@@ -15,6 +15,7 @@ from touchdown.widgets.forms import field_label, inset_spin_boxes, set_entries
 from touchdown.widgets.views.belief import BeliefScene, BeliefView
 
 MOST_VOID = 3
+LEAST_TRIALS = 3  # the interval of fewer spans nearly everything
 HEAD_PX = 260  # least width of a text beside controls
 OUTCOME_WORDS: dict[Outcome, str] = {
     Outcome.PLACED: "placed",
@@ -162,8 +163,8 @@ class ScorePanel(base.Panel):
 
 
 def success_rate_text(score: Score) -> str:
-    """Return the success rate with its interval, "" before the first counted trial."""
-    if score.interval is None:
+    """Return the success rate with its interval, "" before ``LEAST_TRIALS`` counted trials."""
+    if score.interval is None or score.counted < LEAST_TRIALS:
         return ""
     low, high = (100 * bound for bound in score.interval)
     share = 100 * sum(o is Outcome.PLACED for o in score.outcomes) / score.counted

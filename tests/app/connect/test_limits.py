@@ -111,6 +111,15 @@ def test_real_devices_take_the_words_of_the_simulation_away(lab):
     assert lab.bar.override.value() == 10
 
 
+def test_without_a_scene_the_gripper_shows_no_data(lab):
+    operate = lab.workspaces["operate"]
+    lab.go("operate")
+    operate.page.gripper.show_status(24.0, 10.0, holding=True, moving=False)
+    operate.hand._drawn_s = float("-inf")
+    settle(lab)
+    assert operate.page.gripper.figures.text() == "No data"
+
+
 def test_the_panel_is_there_at_once_and_connects_all(lab, bench, devices):
     assert lab.panels.connect.sheet.isVisible()
     devices["gripper"].hold = held()

@@ -73,8 +73,8 @@ def test_a_scene_keeps_its_model_and_says_who_takes_the_other(mine):
     assert "Set (Ctrl+N)" in words.full
     assert "Set" not in scene_model_caption(shipped, "pot", simulated=False).full
     assert "next run:" not in scene_model_caption(card, "pot", simulated=True).short
-    assert scene_model_caption(None, "pot", simulated=True).short.startswith(
-        "none loaded; next run: "
+    assert scene_model_caption(None, "pot", simulated=True).short.endswith(
+        ", loaded by the next run"
     )
 
 
@@ -87,8 +87,8 @@ def test_stack_and_operate_show_it(live, bench, mine):
     run.show_form(RunForm())
     ModelRegistry(models_folder()).promote(model)
     live.go("operate")
-    next_run = f"next run: yours {card.weights_sha256[:8]}"
-    assert probe.model.text() == f"Model: none loaded; {next_run}"
+    yours = f"yours {card.weights_sha256[:8]}"
+    assert probe.model.text() == f"Model: {yours}, loaded by the next run"
     bench.model = card
     settle(live)
     assert probe.model.text() == f"Model: yours {card.weights_sha256[:8]}, IoU 40 %, 20 probes"

@@ -116,14 +116,19 @@ def test_looking_back_and_forward_again(live, bench, qtbot, page):
     assert page.belief.scene.belief.probes == 3
 
 
-def test_the_score_counts_and_gives_the_interval(live, bench, page):
+def test_the_score_counts_and_gives_the_interval_from_three_trials_on(live, bench, page):
     told(live, bench, Outcome.PLACED)
     bench.tell_trial(2)
     bench.tell_end(Outcome.FELL)
     settle(live)
     score = page.score
     assert score._count.text() == "1 of 2 placed"
-    assert score._rate.text() == "50 % success, 95 % interval 9 to 91 %"
+    assert score._rate.text() == ""
+    bench.tell_trial(3)
+    bench.tell_end(Outcome.FELL)
+    settle(live)
+    assert score._count.text() == "1 of 3 placed"
+    assert score._rate.text() == "33 % success, 95 % interval 6 to 79 %"
 
 
 def test_a_trial_without_a_verdict_still_says_how_it_ended(live, bench, page):

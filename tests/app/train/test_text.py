@@ -115,24 +115,40 @@ def test_a_model_that_is_worse_or_hardly_tested_is_questioned_with_its_figures(
 
 
 def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
-    def card(iou, held_out=1200, piece="pot", sha256="x"):
-        metrics, data = {"validation": {"iou": iou}}, {"held_out": held_out}
+    def card(iou, held_out=1200, piece="pot", sha256="x", probes=2000):
+        metrics = {"validation": {"iou": iou}}
+        data = {"held_out": held_out, "episodes": {"short": probes}}
         return SimpleNamespace(piece=piece, weights_sha256=sha256, metrics=metrics, data=data)
 
-    def said(*cards, used):
-        runs = [SimpleNamespace(card=one) for one in cards]
+    def trained(card, epochs=6):
+        losses = ((k + 1, 0.7) for k in range(epochs))
+        return SimpleNamespace(card=card, best_epoch=6, curves={"validation_loss": tuple(losses)})
+
+    def said(*cards, used, epochs=6):
+        runs = [trained(one, epochs) for one in cards]
         return comparison_text(runs, ModelInUse("pot", "used", None, 0, card=used))
 
-    used = card(0.75)
-    assert said(card(0.4), card(0.7), used=used) == "Below the model in use (IoU 75 %): A, B."
-    assert said(card(0.4), used=used) == "Below the model in use (IoU 75 %): this training."
+    used, below = card(0.75), "Below the model in use (IoU 75 %): "
+    again = "Train again with more epochs."
+    assert said(card(0.4), card(0.7), used=used) == f"{below}A, B. {again}"
+    assert said(card(0.4), used=used) == f"{below}this training. {again}"
+    assert said(card(0.4), used=used, epochs=9) == (
+        f"{below}this training. Train again with other settings."
+    )
+    few, many = card(0.4, probes=90), card(0.75, probes=12000)
+    assert said(few, used=many).endswith("Train again with more labels or epochs.")
+    assert said(few, used=many, epochs=9).endswith("Train again with more labels.")
+    assert said(few, card(0.4, probes=12000), used=many).endswith(again)
+    assert said(card(0.8), used=used) == "Above the model in use (IoU 75 %): this training."
+    assert said(card(0.8), card(0.4), used=used).endswith("Choose A alone to promote it.")
     assert said(card(0.8), card(0.4), card(0.8, 6), used=used) == (
         "Above the model in use (IoU 75 %): A. Above the model in use (IoU 75 %), but tested on "
-        "few probes: C. Below the model in use (IoU 75 %): B."
+        "few probes: C. Below the model in use (IoU 75 %): B. Choose one of A, C alone "
+        "to promote it."
     )
     assert said(None, card(0.4, piece="mug"), card(0.75, sha256="used"), used=used) == ""
     assert said(card(0.4), used=card(0.75, 0)) == said(card(0.4), used=None) == ""
-    assert comparison_text([SimpleNamespace(card=card(0.4))], None) == ""
+    assert comparison_text([trained(card(0.4))], None) == ""
 
 
 @pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])

@@ -639,8 +639,10 @@ def test_only_sharp_estimates_enter_the_bench():
     reasons = {one.key: identified.use(one) for one in estimates}
     assert set(map(reasons.pop, used)) == {"yes"}
     assert reasons == {
-        "grasp.torsion_nmm_rad": "no, too uncertain", "delay.pose_wrench": "no, report only",
+        "grasp.torsion_nmm_rad": "no, too uncertain", "delay.pose_wrench": "no, not a setting",
     }  # fmt: skip
+    refused = replace(made_identification(1.3), estimates=estimates, used=())
+    assert {refused.use(one) for one in estimates} == {"no, too uncertain", "no, bench refused"}
 
 
 def test_the_stiffness_of_the_faces_is_kept_beside_the_preset(tmp_path):

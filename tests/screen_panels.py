@@ -39,7 +39,7 @@ from touchdown.backend.core.faults import Fault, FaultError
 from touchdown.backend.core.values import Outcome
 from touchdown.backend.devices.jog import JogRange, axes_of
 from touchdown.backend.devices.protocols import DeviceState
-from touchdown.backend.identification.estimates import NAMES, PARAMETERS
+from touchdown.backend.identification.estimates import PARAMETERS
 from touchdown.backend.learning.training_runs import RecordedTraining, TrainingRequest
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.outcome import outcome_from_signals
@@ -382,7 +382,7 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
         "accepted": True, "reason": reason, "report": str(folder / "bench.html"),
         "use": {k: "no, not a setting" if k.startswith("delay.") else "yes" for k in keys},
         "estimates": {key: _estimate(key) for key in keys},
-        "names": NAMES,
+        "names": {key: PARAMETERS[key][5] for key in keys},
     }  # fmt: skip
     wizard.identify.show_end(0, json.dumps(found))
     yield "identify-accepted"
@@ -391,7 +391,7 @@ def _identified(wizard: CalibratePresenter, folder: Path) -> Iterator[str]:
 
 def _estimate(key: str) -> list[float | str]:
     """Return a value within the range of a parameter, its uncertainty, and its unit."""
-    unit, *_, low, high = PARAMETERS[key]
+    unit, _, _, low, high, _ = PARAMETERS[key]
     return [0.7 * low + 0.3 * high, 0.02 * (high - low), unit]
 
 

@@ -103,10 +103,9 @@ class IdentifySheet(BenchSheet):
              _rounded(sigma, 2), tr(found["use"][key]))
             for key, (value, sigma, unit) in found.get("estimates", {}).items()
         ])  # fmt: skip
+        cells, tip = self.table.model(), Qt.ItemDataRole.ToolTipRole
         for row, key in enumerate(found.get("estimates", ())):
-            self.table.model().setData(
-                self.table.model().index(row, 0), key, Qt.ItemDataRole.ToolTipRole
-            )
+            cells.setData(cells.index(row, 0), key, tip)
         self._page = found.get("report", "")
         self.report.setEnabled(bool(found))
         self.note.hide()

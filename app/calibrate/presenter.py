@@ -198,13 +198,13 @@ class CalibratePresenter:
         what, active = self._chosen, shell.is_run_active(self._bench)
         mine = self._running == what
         why = NO_STORE if self._bench.calibrations is None else shell.start_obstacle(self._bench)
-        hand, gripper, held = self._bench.hand, shell.gripper_of(self._bench), False
+        hand, gripper = self._bench.hand, shell.gripper_of(self._bench)
         holds = gripper is not None and gripper.status().holding and not active
         opens = holds and hand is not None and not why
-        if holds and self._bench.connection is not None:
-            why = why or tr("The gripper holds a piece: take hold of it, then press Open gripper")
-        elif holds and what not in self._measured:
-            held = True  # a simulated bench sets a new scene for each run
+        # A simulated bench sets a new scene for each run.
+        simulated = self._bench.connection is None
+        if holds and not simulated:
+            why = why or tr("The gripper holds a piece: support it, then press Open gripper")
         return CalibrationView(
             rows=tuple(self._row(each) for each in MEASUREMENT_NAMES),
             what=what,
@@ -215,7 +215,7 @@ class CalibratePresenter:
             said=self._said.get(what, ""),
             busy=active,
             why=tr("A run is going on") if active else why,
-            held=held,
+            held=holds and simulated and what not in self._measured,
             opens=opens,
             history=self._history if what == "day" else (),
         )

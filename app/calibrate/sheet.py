@@ -295,11 +295,8 @@ class CalibrateSheet(BenchSheet):
 
     def _arrange(self) -> None:
         body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
-        self.arrange(
-            (body, 1),
-            foot=(self.open_it, self.measure, self.cancel, self.accept_it, self.identify),
-            spacing=10,
-        )
+        foot = self.open_it, self.measure, self.cancel, self.accept_it, self.identify
+        self.arrange((body, 1), foot=foot, spacing=10)
         self.resize_to_em(54, 38)
 
     def _left(self) -> QVBoxLayout:

@@ -226,7 +226,7 @@ class ManualControlPresenter:
     def _draw_gripper(self) -> None:
         gripper, hand, panel = shell.gripper_of(self._bench), self._bench.hand, self._page.gripper
         if gripper is None or hand is None:
-            panel.show_no_data()
+            panel.figures.setText(tr("No data"))
             return
         status, moving = gripper.status(), hand.active and not hand.jog.active
         panel.show_status(status.width_mm, status.force_n, holding=status.holding, moving=moving)

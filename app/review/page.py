@@ -63,7 +63,7 @@ class ReviewPage(WorkspacePage):
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
         self.belief.setMinimumHeight(170)
         self.story.setMinimumHeight(STORY_PX)
-        # By pixels: whole rows would leave free room below the last one.
+        # Whole rows would leave free room below the last one.
         self.story.setVerticalScrollMode(self.story.ScrollMode.ScrollPerPixel)
         self.decision = DecisionPanel()
         self.strip = ProbeStrip(theme, self.probe_chosen.emit)

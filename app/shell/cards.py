@@ -41,10 +41,7 @@ def lift_hand(bench: Session, cards: FaultCards) -> None:
 
 
 def open_gripper(bench: Session, cards: FaultCards, ask: Callable[..., None]) -> None:
-    """Open the gripper; ask first while it holds a piece.
-
-    ``ask`` gets the question, both answers and the action of the second one.
-    """
+    """Open the gripper; while it holds a piece, ``ask`` first (text, no, yes, action of yes)."""
     hand = bench.hand
     if hand is None:
         return

@@ -33,7 +33,7 @@ COMPARED = {
     FEW: "Above the model in use (IoU {:.0f} %), but tested on few probes: {}.",
     WORSE: "Below the model in use (IoU {:.0f} %): {}.",
 }
-# By (all had fewer probes than the model in use, the loss of one still fell at its end).
+# By (all had fewer probes than the model in use, one was best in its last epoch).
 AGAIN = {
     (True, True): "Train again with more labels or epochs.",
     (True, False): "Train again with more labels.",
@@ -107,10 +107,7 @@ def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
 
 
 def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> str:
-    """Return how finished trainings compare with the model in use, and what follows from it.
-
-    "" if the IoU of the model in use is unknown.
-    """
+    """Return how trainings compare with the model in use, and what follows; "" without its IoU."""
     used = None if in_use is None else in_use.card
     if in_use is None or used is None or not _test(used)[1]:
         return ""
@@ -128,13 +125,9 @@ def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> s
     elif below and not better:
         cards = [run.card for run in runs if run.card]
         fewer = all(probe_count(card) < probe_count(used) for card in cards)
-        said.append(tr(AGAIN[fewer, any(_still_fell(run) for run in runs)]))
+        fell = any(len(run.curves.get("iou", ())) == run.best_epoch for run in runs if run.card)
+        said.append(tr(AGAIN[fewer, fell]))
     return " ".join(said)
-
-
-def _still_fell(run: TrainingRun) -> bool:
-    """Return True if the last epoch of a training was its best."""
-    return run.best_epoch == len(run.curves.get("validation_loss", ())) > 0
 
 
 def _shortfall(card: ModelCard, used: ModelCard) -> str:
@@ -227,17 +220,12 @@ def figure_rows(runs: Sequence[TrainingRun]) -> list[tuple[str, ...]]:
     Runs for different pieces have no bottom in common: each row then names its piece.
     """
     pieces = [run.piece or "?" for run in runs]
-    tables = [_bottoms(run) for run in runs]
-    if len(set(pieces)) > 1:
-        tables = [
-            {f"{piece}, {name}": one for name, one in table.items()}
-            for piece, table in zip(pieces, tables, strict=True)
-        ]
-        rows = sorted({name for table in tables for name in table})
-        return [(name, *(_pair(table.get(name)) for table in tables)) for name in rows]
-    names = sorted({name for table in tables for name in table} - {"all"})
-    if any("all" in table for table in tables):
-        names.append("all")
+    several = len(set(pieces)) > 1
+    tables = [
+        {f"{piece}, {name}" if several else name: one for name, one in _bottoms(run).items()}
+        for piece, run in zip(pieces, runs, strict=True)
+    ]
+    names = sorted({name for table in tables for name in table}, key=lambda n: (n == "all", n))
     return [(tr(name), *(_pair(table.get(name)) for table in tables)) for name in names]
 
 

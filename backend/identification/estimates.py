@@ -18,12 +18,11 @@ from touchdown.backend.core import FloatArray
 
 REST, GEL, CONTACT = (f"collect --plan {plan}" for plan in ("rest", "gel", "contact"))
 _LISTS = read_toml(Path(str(files("touchdown.resources"))) / "identification.toml")
-# Key: unit, stage, recording, prior range
-PARAMETERS: dict[str, tuple[str, int, str, float, float]] = {
-    key: (unit, stage, f"collect --plan {plan}", low, high)
-    for key, (unit, stage, plan, low, high, _) in _LISTS["parameters"].items()
+# Key: unit, stage, recording, prior range, name
+PARAMETERS: dict[str, tuple[str, int, str, float, float, str]] = {
+    key: (unit, stage, f"collect --plan {plan}", low, high, name)
+    for key, (unit, stage, plan, low, high, name) in _LISTS["parameters"].items()
 }
-NAMES: dict[str, str] = {key: row[-1] for key, row in _LISTS["parameters"].items()}
 # Parameters that no plan identifies, with the recording that would.
 OTHER_RECORDINGS: tuple[tuple[str, str], ...] = tuple(_LISTS["others"].items())
 
@@ -49,7 +48,7 @@ class Estimate:
     @property
     def name(self) -> str:
         """Displayed name."""
-        return NAMES[self.key]
+        return PARAMETERS[self.key][5]
 
     @property
     def unit(self) -> str:
@@ -64,7 +63,7 @@ class Estimate:
     @property
     def prior(self) -> tuple[float, float]:
         """Range considered beforehand."""
-        return PARAMETERS[self.key][3:]
+        return PARAMETERS[self.key][3:5]
 
     @property
     def sharpness(self) -> float:

@@ -265,7 +265,8 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
     assert sheet.figure.text().endswith(": out of limits.")
     assert sheet.note.text() == (
         "Noise at rest, wrist sensor: 0.3, above 0.2 N. Check its cable and earth, and what shakes "
-        "the table.\nThen press Measure to check again: it first puts the held piece back in its jig."
+        "the table.\n"
+        "Then press Measure to check again: it first puts the held piece back in its jig."
     )
     cross = "\N{MULTIPLICATION X}"
     assert sheet.table.texts() == [

@@ -206,10 +206,6 @@ class GripperPanel(base.Panel):
         word = base.tr("moving" if moving else "holding a piece" if holding else "empty")
         self.figures.setText(f"{width_mm:.1f} mm   {force_n:.1f} N   {word}")
 
-    def show_no_data(self) -> None:
-        """Show that nothing is known, as without a connection."""
-        self.figures.setText(base.tr("No data"))
-
     def show_ready(self, ready: bool) -> None:
         """Enable or disable the buttons."""
         for button in (self.grip, self.open):

@@ -18,7 +18,6 @@ from touchdown.widgets.forms.fields import (
     whole_box,
 )
 
-NO_BODY = "table"
 STRATEGIES = (
     ("paper", "Probe and believe"),
     ("paper-calibrated", "Probe and believe, calibrated"),
@@ -110,11 +109,7 @@ class RunPanel(base.Panel):
             0,
             ("Piece", self._piece, "Piece in the gripper; its geometry is known"),
             ("Bottom", self._bottom, "Body to stack on; its shape is unknown to the method"),
-            (
-                "Stands on",
-                self._under,
-                "Body under the bottom: the table, or a second one for a tower",
-            ),
+            ("Stands on", self._under, "Table, or a second body under the bottom, for a tower"),
         )
         fields.add_halves(
             3,
@@ -146,7 +141,7 @@ class RunPanel(base.Panel):
         """Set the (key, title) pieces and bottoms; the selection is kept if possible."""
         form = self.form()
         for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
-                               (self._under, (("", NO_BODY), *bottoms))):  # fmt: skip
+                               (self._under, (("", "table"), *bottoms))):  # fmt: skip
             set_entries(combo, entries)
         self.show_form(form)
 

@@ -121,8 +121,8 @@ def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
         return SimpleNamespace(piece=piece, weights_sha256=sha256, metrics=metrics, data=data)
 
     def trained(card, epochs=6):
-        losses = ((k + 1, 0.7) for k in range(epochs))
-        return SimpleNamespace(card=card, best_epoch=6, curves={"validation_loss": tuple(losses)})
+        curves = {"iou": [(k + 1, 0.4) for k in range(epochs)]}
+        return SimpleNamespace(card=card, best_epoch=6, curves=curves)
 
     def said(*cards, used, epochs=6):
         runs = [trained(one, epochs) for one in cards]

@@ -7,6 +7,7 @@ is a function of time and bytes. Both directions are logged.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import selectors
 import socket
@@ -245,6 +246,8 @@ class PtyServer(StreamServer):
     def _name(self, link: Path) -> None:
         """Point ``link`` to the terminal; a missing folder is an error at the start only."""
         fresh = link.with_name(f"{link.name}.new")
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(errno.EEXIST, "it is a file, not a link", str(link))
         try:
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(self._path)

@@ -146,6 +146,16 @@ def test_a_folder_that_never_was_is_refused_at_the_start(tmp_path):
         PtyServer(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=tmp_path / "nowhere" / "wrist")
 
 
+def test_a_file_is_not_replaced_by_the_name_of_a_port(tmp_path):
+    from touchdown.backend.emulation.server import PtyServer
+
+    file = tmp_path / "wrist.csv"
+    file.write_text("mine")
+    with pytest.raises(FileExistsError):
+        PtyServer(EmulatedDynpick(lambda now_s: (0.0,) * 6), link=file)
+    assert file.read_text() == "mine"
+
+
 def test_a_camera_whose_folder_is_gone_ends_quietly(tmp_path):
     folder = tmp_path / "cameras"
     front = GelsightServer(lambda now_s: None, folder)

@@ -22,7 +22,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import InputError, Pose, RawStreams, program_version
+from touchdown.backend.core import InputError, Pose, RawStreams, path_of, program_version
 from touchdown.backend.emulation import parse_script
 from touchdown.backend.geometry import (
     Piece,
@@ -348,27 +348,27 @@ def simulated_session(
 def simulated_bench(
     *,
     preset: str | None = None,
-    settings: SimulationSettings | Path | None = None,
+    settings: SimulationSettings | Path | str | None = None,
     disturbances: Sequence[str] = (),
     method: StackSettings | None = None,
-    pieces: Path | None = None,
-    runs: Path | None = None,
+    pieces: Path | str | None = None,
+    runs: Path | str | None = None,
 ) -> Session:
     """Return a simulated bench, as ``touchdown stack`` uses it.
 
     Parameters
     ----------
-    preset : {"mixed", "quiet", "hard", "off", "realistic"}, optional
+    preset : {"mixed", "quiet", "hard", "off", "realistic", "bench-v1", "bench-v2"}, optional
         Named noise settings; "mixed" without preset and settings.
-    settings : SimulationSettings or Path, optional
+    settings : SimulationSettings, Path or str, optional
         Settings of the simulation, or a TOML file with them, instead of a preset.
     disturbances : sequence of str, optional
         Scripted disturbances such as ``"tactile_left:stop@3.0"``: device, effect, time in s.
     method : StackSettings, optional
         Settings of the method; defaults otherwise.
-    pieces : Path, optional
+    pieces : Path or str, optional
         Folder with further piece files.
-    runs : Path, optional
+    runs : Path or str, optional
         Folder for the event logs and episodes of runs. Nothing is kept without it.
 
     Returns
@@ -392,14 +392,13 @@ def simulated_bench(
 
     """
     choice = SimulatedBenchChoice(
-        file=settings if isinstance(settings, Path) else None,
+        file=Path(settings) if isinstance(settings, Path | str) else None,
         preset=preset,
         disturbances=tuple(disturbances),
-        pieces=pieces,
-        given=None if isinstance(settings, Path) else settings,
+        pieces=path_of(pieces),
+        given=None if isinstance(settings, Path | str) else settings,
     )
-    session = simulated_session(
-        choice, keep=RecordingOptions(runs), method=method, registry=ModelRegistry(models_folder())
-    )
+    keep, registry = RecordingOptions(path_of(runs)), ModelRegistry(models_folder())
+    session = simulated_session(choice, keep=keep, method=method, registry=registry)
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     return session

@@ -28,7 +28,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import BenchClock, Pose, RawStreams
+from touchdown.backend.core import BenchClock, Pose, RawStreams, path_of
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -208,14 +208,14 @@ def emulated_bench(
     preset: str | None = None,
     faults: FaultPlan | None = None,
     method: StackSettings | None = None,
-    pieces: Path | None = None,
-    runs: Path | None = None,
+    pieces: Path | str | None = None,
+    runs: Path | str | None = None,
 ) -> Iterator[Session]:
     """Open an emulated bench: real drivers on real wires, simulated physics, in real time.
 
     Parameters
     ----------
-    preset : {"mixed", "quiet", "hard", "off", "realistic"}, optional
+    preset : {"mixed", "quiet", "hard", "off", "realistic", "bench-v1", "bench-v2"}, optional
         Named noise settings, "mixed" by default.
     faults : FaultPlan, optional
         Faults of the devices by the time since a scene was set; none by default.
@@ -242,8 +242,8 @@ def emulated_bench(
 
     """
     with EmulatedBench(
-        assembly.SimulatedBenchChoice(preset=preset, pieces=pieces),
-        keep=RecordingOptions(runs),
+        assembly.SimulatedBenchChoice(preset=preset, pieces=path_of(pieces)),
+        keep=RecordingOptions(path_of(runs)),
         method=method,
         registry=ModelRegistry(models_folder()),
         plan=faults,

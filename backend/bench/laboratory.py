@@ -21,7 +21,7 @@ from touchdown.backend.calibration import (
     camera_conflicts,
 )
 from touchdown.backend.config import Lab, StackSettings, load_lab
-from touchdown.backend.core import BenchClock, InputError, RawStreams, raised_priority
+from touchdown.backend.core import BenchClock, InputError, RawStreams, path_of, raised_priority
 from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -88,8 +88,8 @@ def open_lab(
     path: Path | str,
     *,
     method: StackSettings | None = None,
-    pieces: Path | None = None,
-    runs: Path | None = None,
+    pieces: Path | str | None = None,
+    runs: Path | str | None = None,
     speed: float = START_SPEED,
 ) -> Session:
     """Return the bench of a lab file; nothing is connected before ``Session.connect``.
@@ -101,12 +101,8 @@ def open_lab(
     ----------
     path : Path or str
         Lab file (TOML).
-    method : StackSettings, optional
-        Settings of the method; defaults otherwise.
-    pieces : Path, optional
-        Folder with further piece files.
-    runs : Path, optional
-        Folder for the event logs and episodes of runs. Nothing is kept without it.
+    method, pieces, runs
+        As of ``simulated_bench``.
     speed : float, default: 0.1
         Share of every speed in air, 0.1 to 1.
 
@@ -131,8 +127,8 @@ def open_lab(
     with ExitStack() as stack:
         stack.enter_context(raised_priority())  # inherited by all threads of the session
         session = lab_session(
-            LabChoice(Path(path), pieces),
-            keep=RecordingOptions(runs),
+            LabChoice(Path(path), path_of(pieces)),
+            keep=RecordingOptions(path_of(runs)),
             method=method,
             registry=ModelRegistry(models_folder()),
         )

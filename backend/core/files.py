@@ -60,6 +60,11 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def path_of(path: Path | str | None) -> Path | None:
+    """Return an optional path that a script may give as text."""
+    return None if path is None else Path(path)
+
+
 def make_folder(folder: Path) -> None:
     """Create ``folder`` and its missing parents, durably."""
     missing = []

@@ -8,5 +8,4 @@ from .imports import ImportOptions as ImportOptions
 from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
 from .mapped_presses import CONTACT_S as CONTACT_S
-from .query import EXPORT_STATES as EXPORT_STATES
 from .query import ExportState as ExportState

@@ -34,6 +34,7 @@ from touchdown.backend.exchange.features import (
     make_features,
 )
 from touchdown.backend.exchange.query import (
+    EXPORT_STATES,
     ExportQuery,
     ExportState,
     SelectedEpisode,
@@ -205,6 +206,9 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
         raise InputError(
             f"There is no format '{format}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
         )
+    if isinstance(states, str) or not set(states) <= set(EXPORT_STATES):
+        use = f"Give a tuple of names from: {', '.join(EXPORT_STATES)}."
+        raise InputError(f"Labels cannot be chosen by {states!r}.", "states", use)
     query = ExportQuery(
         piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
     )

@@ -28,7 +28,7 @@ from pydantic import (
 )
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
-from touchdown.backend.core import InputError, data_folder
+from touchdown.backend.core import InputError, data_folder, path_of
 from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import Outline, Point
 from touchdown.backend.geometry.surfaces import FLAT, Surface
@@ -366,7 +366,7 @@ class PieceLibrary:
         return tuple(sorted(n for n, p in list(self.pieces.items()) if "bottom" in p.roles))
 
 
-def load_pieces(folder: Path | None = None) -> PieceLibrary:
+def load_pieces(folder: Path | str | None = None) -> PieceLibrary:
     """Read the shipped pieces, the operator's, and those of a folder.
 
     Files of the data folder never replace a shipped piece, and an unusable one of them is reported
@@ -374,7 +374,7 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
 
     Parameters
     ----------
-    folder : Path, optional
+    folder : Path or str, optional
         Folder with further piece files (TOML).
 
     Returns
@@ -395,10 +395,10 @@ def load_pieces(folder: Path | None = None) -> PieceLibrary:
     """
     own, broken = _own_pieces()
     pieces = own | dict(_shipped_pieces())
-    if folder is not None:
-        if not folder.is_dir():
+    if (extra := path_of(folder)) is not None:
+        if not extra.is_dir():
             raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
-        pieces |= _read_folder(folder)
+        pieces |= _read_folder(extra)
     return PieceLibrary(pieces, str(folder or "resources/objects"), broken)
 
 

@@ -84,7 +84,7 @@ def evaluate(
     *,
     labels: LabelChoice = "approved",
     delta: float = StabilitySettings().delta,
-    pieces: Path | None = None,
+    pieces: Path | str | None = None,
 ) -> dict[str, EvaluationScores]:
     """Measure a contact-patch model on labelled episodes; same as ``touchdown evaluate``.
 
@@ -98,7 +98,7 @@ def evaluate(
         Labels of a dataset to compare with. Packs hold final labels.
     delta : float
         Probability above which a face point supports the piece (0 to 1).
-    pieces : Path, optional
+    pieces : Path or str, optional
         Folder with further piece files.
 
     Returns
@@ -119,6 +119,9 @@ def evaluate(
     0.6412
 
     """
+    if not 0 <= delta < 1:
+        fix = "Give a probability: 0 to below 1."
+        raise InputError(f"No point has a probability above {delta}.", "delta", fix)
     checkpoint = model if isinstance(model, Checkpoint) else load_checkpoint(Path(model))
     piece = checkpoint.card.piece
     rows = data if isinstance(data, TrainingRows) else load_episodes(Path(data), piece, labels)

@@ -6,11 +6,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import Literal
+from typing import Literal, get_args
 
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.config import StackSettings, StrategyName
-from touchdown.backend.core import PlaceAction
+from touchdown.backend.core import InputError, PlaceAction
 
 StrategyChoice = StrategyName
 DecisionMode = Literal["auto", "approve", "step"]
@@ -86,6 +86,17 @@ class StackRequest:
     model: str | None = None
     origin_mm: tuple[float, float] = (0.0, 0.0)
     weigh: bool = False
+
+    def __post_init__(self) -> None:
+        for name, kind in (("strategy", StrategyName), ("mode", DecisionMode)):
+            if getattr(self, name) not in (known := get_args(kind)):
+                what = f"There is no {name} '{getattr(self, name)}'."
+                raise InputError(what, f"--{name}", f"Use one of: {', '.join(known)}.")
+        if isinstance(self.bottoms, str):
+            fix = f"Give a tuple of names, such as ('{self.bottoms}',)."
+            raise InputError("The bottoms are a single text.", "bottoms", fix)
+        if self.trials < 1:
+            raise InputError(f"{self.trials} trials cannot run.", "--trials", "Give 1 or more.")
 
     def scene(self, trial: int = 0) -> SceneChoice:
         """Return the scene of trial 0, 1, ...; pick-and-place needs no model."""

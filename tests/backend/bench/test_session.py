@@ -188,6 +188,22 @@ def test_bad_requests_and_settings_are_refused():
         bench.run(StackRequest(piece="teapot"))
     with pytest.raises(InputError, match="preset"):
         simulated_bench(preset="loud")
+    with pytest.raises(InputError, match=r"no\.toml"):
+        simulated_bench(settings="no.toml")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"strategy": "fuse"}, "no strategy 'fuse'.*Use one of: paper,"),
+        ({"mode": "careful"}, "no mode 'careful'.*Use one of: auto,"),
+        ({"bottoms": "short"}, r"bottoms.*such as \('short',\)"),
+        ({"trials": 0}, "0 trials"),
+    ],
+)
+def test_a_misspelt_request_is_refused_before_it_runs_as_another_one(values, said) -> None:
+    with pytest.raises(InputError, match=said):
+        StackRequest(**values)
 
 
 def test_a_piece_without_a_model_is_served_by_the_network_of_fused(tmp_path) -> None:
@@ -198,7 +214,7 @@ def test_a_piece_without_a_model_is_served_by_the_network_of_fused(tmp_path) -> 
         Path(barrel).read_text().replace("21.2", "19.0").replace("Barrel", "Keg")
     )
     method = brisk_method()
-    with simulated_bench(settings=brisk_settings(), method=method, pieces=folder) as bench:
+    with simulated_bench(settings=brisk_settings(), method=method, pieces=str(folder)) as bench:
         with pytest.raises(InputError, match="No model ships for piece 'keg'"):
             bench.run(StackRequest(piece="keg", seed=7))
         maps = []
@@ -283,7 +299,8 @@ def test_a_lab_is_opened_without_connecting_and_connects_when_asked(tmp_path):
 
 def stalled_run(folder, publish):
     """Run a seeded trial with a live view; return the lines of the event log and the view."""
-    with simulated_bench(settings=brisk_settings(), method=brisk_method(), runs=folder) as bench:
+    given = {"settings": brisk_settings(), "method": brisk_method()}
+    with simulated_bench(**given, runs=str(folder)) as bench:
         view = None if publish is None else LiveView(bench, publish, lambda topic: True)
         result = bench.run(StackRequest(strategy="pick-and-place", seed=7))
         if view is not None:

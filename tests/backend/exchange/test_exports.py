@@ -333,6 +333,12 @@ def test_packed_episodes_have_what_the_model_is_given(tmp_path, hand):
     assert mine == packed
 
 
+@pytest.mark.parametrize("states", ["draft", ("drft",)])
+def test_states_are_names_in_a_tuple(states, dataset, tmp_path):
+    with pytest.raises(InputError, match=r"cannot be chosen by .*Give a tuple of names"):
+        export(dataset, "csv", tmp_path / "out", states=states)
+
+
 def test_pictures_are_refused_where_there_are_none(hand, dataset):
     with pytest.raises(InputError, match="has no videos"):
         hand("csv", video="all")

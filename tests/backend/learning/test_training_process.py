@@ -378,6 +378,9 @@ def test_train_then_evaluate(
 
     assert main(["evaluate", str(out), str(data)]) == 0
     assert "circle15" in capsys.readouterr().out
+    for delta in ("nan", "1", "-0.1"):
+        assert main(["evaluate", str(out), str(data), "--delta", delta]) == 2
+        assert f"No point has a probability above {delta.rstrip('0')}" in capsys.readouterr().err
 
 
 def test_evaluate_adds_a_calibration_to_a_card_without_one(

@@ -66,7 +66,7 @@ from touchdown.backend.core import (
     FaultError,
     InputError,
     RefusedError,
-    make_folder,
+    disk_errors,
     parse_json,
     program_stamp,
     write_atomically,
@@ -217,7 +217,6 @@ class Dataset:
                 "Collect probes first ('touchdown collect', or Ctrl+2 in the window), or name the "
                 "folder that holds dataset.json.",
             )
-        make_folder(folder)
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
@@ -518,7 +517,9 @@ def _describe(folder: Path) -> DatasetDescription:
     content = {name: getattr(found, name) for name in DatasetDescription.__slots__}
     frames = {"O": "bottom face", "F": "grasped face"}
     content |= {"units": {"length": "um", "angle": "mdeg", "time": "ns"}, "frames": frames}
-    write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
+    fix = "Free some space, or name a folder that can be written."
+    with disk_errors("The dataset cannot be written", path, fix):
+        write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
     return found
 
 

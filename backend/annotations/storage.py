@@ -13,6 +13,7 @@ import os
 import shutil
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Self
 
 import psutil
 
-from touchdown.backend.core import InputError, lock_file, parse_json
+from touchdown.backend.core import InputError, lock_file, make_folder, parse_json
 
 # error numbers of a full disk or an exhausted quota
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -154,6 +155,7 @@ class WriterLock:
         Raises ``DatasetInUseError`` with the holder, or ``ReadOnlyFolderError``.
         """
         try:
+            make_folder(folder)
             descriptor = lock_file(folder / LOCK_NAME)
         except BlockingIOError:
             raise DatasetInUseError(folder, lock_holder(folder)) from None
@@ -161,8 +163,9 @@ class WriterLock:
             raise ReadOnlyFolderError(folder, error) from error
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
         me = WriterInfo(person or _account(), os.getpid(), socket.gethostname(), now)
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, json.dumps(asdict(me)).encode("utf-8"))
+        with suppress(OSError):  # a full disk: the lock holds without the name
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, json.dumps(asdict(me)).encode("utf-8"))
         return cls(folder, descriptor)
 
     def close(self) -> None:

@@ -13,12 +13,7 @@ from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import (
-    VerbOutput,
-    ctrl_c_cancels,
-    progress_lines,
-    require_positive,
-)
+from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, progress_lines
 from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
@@ -75,7 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Collect; return 0 if every probe of the plan was recorded or skipped on purpose, else 1."""
-    require_positive(args, "probes_per_grip", "grips_per_mounting")
     connection.refuse_misplaced_arguments(args)
     connection.fill_in_scene(args, BOTTOM)
     plan = _plan(args)

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run failed or the piece fell, 2 bad input, 130 interru
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import json
 import sys
@@ -117,8 +118,8 @@ def _dispatch(words: list[str]) -> int:
         return BAD_INPUT
     name, rest = words[0], words[1:]
     if name not in VERBS:
-        known = ", ".join(VERBS)
-        raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {known}.")
+        near = ", ".join(difflib.get_close_matches(name, VERBS) or VERBS)
+        raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {near}.")
     parser = parser_of(name)
     args, unknown = parser.parse_known_args(rest)
     if hasattr(args, "handed_on"):

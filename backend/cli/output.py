@@ -248,7 +248,12 @@ def write_new(path: Path, text: str) -> None:
         disk_errors("The file cannot be written", path, fix),
         path.open("x", encoding="utf-8") as file,
     ):
-        file.write(text)
+        try:
+            file.write(text)
+            file.flush()
+        except OSError:
+            path.unlink()
+            raise
 
 
 def make_output_folder(folder: Path) -> None:

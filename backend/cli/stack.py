@@ -74,7 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
     """Run all trials; return 0 if every piece was placed, else 1."""
-    output.require_positive(args, "trials")
     lab = connection.at_lab(args)
     connection.refuse_misplaced_arguments(args)
     if not lab and any(args.origin):

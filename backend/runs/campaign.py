@@ -211,13 +211,14 @@ def new_campaign(
     piece: str, bottom: str, pattern: Pattern, seed: int, count: int, within_mm: float | None
 ) -> Campaign:
     """Return a new campaign; raises ``InputError`` for numbers out of range."""
-    if count < 1:
-        raise InputError("A campaign has at least one probe.", "--count", "Give a number above 0.")
-    if seed < 0:
-        raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
-    if within_mm is not None and not within_mm > 0:
-        raise InputError("The range is not positive.", "--within", "Give a length in mm.")
-    return Campaign(uuid7(), piece, bottom, pattern, seed, count, within_mm)
+    try:
+        return Campaign(
+            uuid=uuid7(), piece=piece, bottom=bottom, pattern=pattern,
+            seed=seed, count=count, within_mm=within_mm,
+        )  # fmt: skip
+    except ValidationError as error:
+        what = f"Bad value for {first_error(error)}."
+        raise InputError(what, "campaign", "Correct this value.") from error
 
 
 def read_campaign(dataset: Path, uuid: str) -> Campaign:

@@ -10,7 +10,8 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 
 from touchdown.backend.cli import evaluate, simulate, train
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
+from touchdown.backend.geometry import load_pieces
 
 TRAINING_BOTTOMS = "circle15,circle25,square15"
 UNSEEN_BOTTOMS = "short,long,hex20,rect12x28"
@@ -39,7 +40,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Make every model; return 0 if all are written."""
     began_s = time.monotonic()
     answer: dict[str, object] = {}
-    for piece in [name for name in args.pieces.split(",") if name]:
+    counts = (key for key, value in vars(args).items() if type(value) is int and key != "seed")
+    require_positive(args, *counts)
+    library = load_pieces(args.pieces_dir)
+    pieces = [library.top(name).name for name in args.pieces.split(",")]
+    make_output_folder(args.out)
+    for piece in pieces:
         with TemporaryDirectory(prefix="touchdown-models-") as folder:
             answer[piece] = _make(args, piece, Path(folder), screen)
     screen.result({"models": answer, "seconds": round(time.monotonic() - began_s, 1)})
@@ -52,7 +58,7 @@ def _make(
     # Imported here so that `touchdown --help` starts without torch.
     from touchdown.backend.config import StabilitySettings
     from touchdown.backend.episodes import load_rows
-    from touchdown.backend.geometry import face_points, load_pieces
+    from touchdown.backend.geometry import face_points
     from touchdown.backend.learning import evaluate_model as measure
     from touchdown.backend.learning import load_checkpoint, save_card
 

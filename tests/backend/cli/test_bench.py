@@ -188,7 +188,7 @@ def hardware(monkeypatch, lab):
         (["stack", "--strategy", "pick-and-place"], "simulations only"),
         (["stack", "--bottom", "nope"], "no bottom piece 'nope'"),
         (["stack", "--runs", "FILE"], "cannot be stored"),
-        (["collect", "--count", "0"], "at least one probe"),
+        (["collect", "--count", "0"], "'count'"),
         (["collect", "--within", "0.001", "--pattern", "grid", "--count", "900"], "Not enough"),
         (["calibrate", "board", "--bottom", "nope"], "no bottom piece 'nope'"),
     ],

@@ -309,9 +309,12 @@ def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--count", "0"], "at least one probe"),
-        (["--within", "-1"], "range is not positive"),
-        (["--seed", "-2"], "seed -2 is negative"),
+        (["--count", "0"], "'count': Input should be greater than or equal to 1"),
+        (["--count", "100000000"], "'count': Input should be less than"),
+        (["--within", "-1"], "'within_mm': Input should be greater than 0"),
+        (["--seed", "-2"], "'seed': Input should be greater than or equal to 0"),
+        (["--origin-sigma", "nan"], "no uncertainty of the origin"),
+        (["--origin-sigma", "-1"], "no uncertainty of the origin"),
         (["--piece", "cup"], "no piece 'cup'"),
         (["--probes-per-grip", "0"], "--probes-per-grip must be at least 1"),
         (["--preset", "calm"], "no preset 'calm'"),
@@ -324,6 +327,12 @@ def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:
     out, err = capsys.readouterr()
     assert (out, said in err) == ("", True)
     assert err.count("\n") <= 3
+
+
+def test_a_dataset_that_cannot_be_made_is_one_clear_error(tmp_path, capsys) -> None:
+    (tmp_path / "ds").write_text("a file")
+    assert main(["collect", "--dataset", str(tmp_path / "ds")]) == 2
+    assert "The dataset cannot be written: File exists." in capsys.readouterr().err
 
 
 def test_resume_needs_a_campaign(tmp_path, capsys) -> None:

@@ -155,6 +155,7 @@ def test_bad_words_are_bad_input(words, capsys):
     assert output.out == ""
     assert "fix:" in output.err
     assert words[0] != "app" or "See 'touchdown app --help'." in output.err
+    assert words != ["stak"] or "Use one of: stack" in output.err, "the most similar comes first"
 
 
 def test_bad_input_names_all_three_for_people_and_scripts(verb, capsys):
@@ -582,6 +583,9 @@ def test_the_shipped_model_is_the_one_recorded(tmp_path, capsys) -> None:
         ("simulate", "--seed -1", "--seed"),
         ("simulate", "--preset loud", "preset"),
         ("simulate", "--bench nowhere.toml", "nowhere.toml"),
+        ("models", "--test-episodes 0", "--test-episodes"),
+        ("models", "--epochs 0", "--epochs"),
+        ("models", "--pieces=", "resources/objects"),
         ("experiment", "tables --workers 0", "--workers"),
         ("experiment", "tables --pieces teapot", "--pieces"),
         ("experiment", "tables --pieces=", "--pieces"),

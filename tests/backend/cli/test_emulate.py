@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import queue
 import socket
 import threading
@@ -205,6 +207,26 @@ def test_what_is_written_is_read_back_the_same(tmp_path, capsys) -> None:
     assert main(["settings", "--write", str(again), "--json"]) == 2
     assert json.loads(capsys.readouterr().err)["error"]["where"] == str(again)
     assert load_method(again) == settings, "a file is never written over"
+
+
+def test_a_file_that_does_not_fit_on_the_disk_leaves_nothing(tmp_path, capsys, monkeypatch) -> None:
+    path = tmp_path / "method.toml"
+
+    def opened(self, *words, **more):
+        self.touch()
+        return FullFile()
+
+    monkeypatch.setattr(Path, "open", opened)
+    assert main(["settings", "--write", str(path)]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert not path.exists(), "the next try would be refused"
+
+
+class FullFile(io.StringIO):
+    """File on a disk without room."""
+
+    def flush(self):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_a_run_follows_the_file_and_records_it(tmp_path, capsys) -> None:

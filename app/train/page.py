@@ -42,7 +42,7 @@ class TrainPage(WorkspacePage):
         self.split.empty = "No episode that counts yet"
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
-        self.in_use, self.autonomy = (base.label("", "", wrap=True) for _ in range(2))
+        self.in_use, self.autonomy = base.label("", "", wrap=True), base.ScrollingNote("Next step")
         self.promote = QPushButton(base.tr("Promote"))
         self.roll_back = QPushButton(base.tr("Roll back"))
         for button in (self.promote, self.roll_back):

@@ -333,7 +333,7 @@ class TrainPresenter:
         page.in_use.setText(words.model_in_use_text(use))
         alone = words.autonomy_text(use.probes if use else None)
         compared = words.comparison_text(self._chosen(), use)
-        page.autonomy.setText(f"{alone}\n{compared or one}".strip())
+        page.autonomy.setText(f"{compared or one}\n{alone}".strip())
         for line in (page.in_use, page.autonomy):
             line.setVisible(bool(line.text()))
 

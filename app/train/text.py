@@ -29,9 +29,9 @@ LETTERS = ("A", "B", "C")
 THIN_TEST = 100  # fewer held-out probes say little about a model
 WORSE, FEW = "It is worse.", "It was tested on few probes."
 COMPARED = {
-    "": "Above the model in use (IoU {:.0f} %): {}.",
-    FEW: "Above the model in use (IoU {:.0f} %), but tested on few probes: {}.",
-    WORSE: "Below the model in use (IoU {:.0f} %): {}.",
+    "": "Above the model in use: {}.",
+    FEW: "Above the model in use, but tested on few probes: {}.",
+    WORSE: "Below the model in use: {}.",
 }
 # By (all had fewer probes than the model in use, one was best in its last epoch).
 AGAIN = {
@@ -115,8 +115,8 @@ def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> s
     for mark, run in zip(LETTERS if len(runs) > 1 else (tr("this training"),), runs, strict=False):
         if run.card and run.card.piece == in_use.piece and not is_in_use(run.card, in_use):
             found[COMPARED[_shortfall(run.card, used)]].append(mark)
-    percent, below = 100 * _test(used)[0], found[COMPARED[WORSE]]
-    said = [tr(text, percent, ", ".join(marks)) for text, marks in found.items() if marks]
+    below = found[COMPARED[WORSE]]
+    said = [tr(text, ", ".join(marks)) for text, marks in found.items() if marks]
     better = [mark for marks in found.values() if marks is not below for mark in marks]
     if better and len(runs) > 1:
         several = "Choose one of {} alone to promote it."
@@ -155,7 +155,7 @@ def autonomy_text(probes: int | None) -> str:
         return ""
     if probes >= HARDWARE_PROBES:
         return tr("Tested on {}: auto mode on hardware.", count_noun(probes, "hardware probe"))
-    asks = "Tested on {} ({} needed): on hardware, use it in approve or step mode only."
+    asks = "Tested on {} ({} needed): approve or step mode only on hardware."
     return tr(asks, count_noun(probes, "hardware probe"), HARDWARE_PROBES)
 
 

@@ -446,7 +446,7 @@ def test_train_compare_promote_and_roll_back(desk):
     ]
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
-    said = page.autonomy.text().rpartition("): A, B. ")[2]
+    said = page.autonomy.text().rpartition(": A, B. ")[2]
     assert said.startswith("Train again with more labels"), "both are below the model in use"
     assert "choose one to see its samples" in page.samples._why
 

@@ -141,7 +141,7 @@ class RunPanel(base.Panel):
         """Set the (key, title) pieces and bottoms; the selection is kept if possible."""
         form = self.form()
         for combo, entries in ((self._piece, pieces), (self._bottom, bottoms),
-                               (self._under, (("", "table"), *bottoms))):  # fmt: skip
+                               (self._under, (("", "the table"), *bottoms))):  # fmt: skip
             set_entries(combo, entries)
         self.show_form(form)
 

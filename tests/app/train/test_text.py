@@ -128,7 +128,7 @@ def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
         runs = [trained(one, epochs) for one in cards]
         return comparison_text(runs, ModelInUse("pot", "used", None, 0, card=used))
 
-    used, below = card(0.75), "Below the model in use (IoU 75 %): "
+    used, below = card(0.75), "Below the model in use: "
     again = "Train again with more epochs."
     assert said(card(0.4), card(0.7), used=used) == f"{below}A, B. {again}"
     assert said(card(0.4), used=used) == f"{below}this training. {again}"
@@ -139,11 +139,11 @@ def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
     assert said(few, used=many).endswith("Train again with more labels or epochs.")
     assert said(few, used=many, epochs=9).endswith("Train again with more labels.")
     assert said(few, card(0.4, probes=12000), used=many).endswith(again)
-    assert said(card(0.8), used=used) == "Above the model in use (IoU 75 %): this training."
+    assert said(card(0.8), used=used) == "Above the model in use: this training."
     assert said(card(0.8), card(0.4), used=used).endswith("Choose A alone to promote it.")
     assert said(card(0.8), card(0.4), card(0.8, 6), used=used) == (
-        "Above the model in use (IoU 75 %): A. Above the model in use (IoU 75 %), but tested on "
-        "few probes: C. Below the model in use (IoU 75 %): B. Choose one of A, C alone "
+        "Above the model in use: A. Above the model in use, but tested on "
+        "few probes: C. Below the model in use: B. Choose one of A, C alone "
         "to promote it."
     )
     assert said(None, card(0.4, piece="mug"), card(0.75, sha256="used"), used=used) == ""

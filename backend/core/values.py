@@ -282,12 +282,12 @@ class EpisodeQuality:
     """
 
     accepted: bool
-    reasons: tuple[str, ...]
-    dropped_frames: int
-    inferred_share: float
-    lost_markers: int
-    skew_ms: float
-    slip_mm: float
+    reasons: tuple[str, ...] = ()
+    dropped_frames: int = 0
+    inferred_share: float = 0.0
+    lost_markers: int = 0
+    skew_ms: float = 0.0
+    slip_mm: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import InputError, Pose, RawStreams, path_of, program_version
+from touchdown.backend.core import InputError, Pose, RawStreams, program_version
 from touchdown.backend.emulation import parse_script
 from touchdown.backend.geometry import (
     Piece,
@@ -395,10 +395,10 @@ def simulated_bench(
         file=Path(settings) if isinstance(settings, Path | str) else None,
         preset=preset,
         disturbances=tuple(disturbances),
-        pieces=path_of(pieces),
+        pieces=Path(pieces) if pieces else None,
         given=None if isinstance(settings, Path | str) else settings,
     )
-    keep, registry = RecordingOptions(path_of(runs)), ModelRegistry(models_folder())
+    keep, registry = RecordingOptions(Path(runs) if runs else None), ModelRegistry(models_folder())
     session = simulated_session(choice, keep=keep, method=method, registry=registry)
     session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
     return session

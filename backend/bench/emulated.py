@@ -28,7 +28,7 @@ from touchdown.backend.config import (
     describe_simulation,
     read_settings,
 )
-from touchdown.backend.core import BenchClock, Pose, RawStreams, path_of
+from touchdown.backend.core import BenchClock, Pose, RawStreams
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -242,8 +242,8 @@ def emulated_bench(
 
     """
     with EmulatedBench(
-        assembly.SimulatedBenchChoice(preset=preset, pieces=path_of(pieces)),
-        keep=RecordingOptions(path_of(runs)),
+        assembly.SimulatedBenchChoice(preset=preset, pieces=Path(pieces) if pieces else None),
+        keep=RecordingOptions(Path(runs) if runs else None),
         method=method,
         registry=ModelRegistry(models_folder()),
         plan=faults,

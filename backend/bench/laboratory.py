@@ -21,7 +21,7 @@ from touchdown.backend.calibration import (
     camera_conflicts,
 )
 from touchdown.backend.config import Lab, StackSettings, load_lab
-from touchdown.backend.core import BenchClock, InputError, RawStreams, path_of, raised_priority
+from touchdown.backend.core import BenchClock, InputError, RawStreams, raised_priority
 from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
@@ -127,8 +127,8 @@ def open_lab(
     with ExitStack() as stack:
         stack.enter_context(raised_priority())  # inherited by all threads of the session
         session = lab_session(
-            LabChoice(Path(path), path_of(pieces)),
-            keep=RecordingOptions(path_of(runs)),
+            LabChoice(Path(path), Path(pieces) if pieces else None),
+            keep=RecordingOptions(Path(runs) if runs else None),
             method=method,
             registry=ModelRegistry(models_folder()),
         )

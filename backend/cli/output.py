@@ -34,7 +34,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from touchdown.backend.core import InputError, disk_errors
+from touchdown.backend.core import InputError, disk_errors, write_atomically
 
 AdvanceFunction = Callable[..., None]
 JSON_VERSION = 1  # of the objects of all verbs
@@ -244,16 +244,10 @@ def ctrl_c_cancels(cancel: Callable[[], object]) -> Iterator[None]:
 def write_new(path: Path, text: str) -> None:
     """Write a new file; ``InputError`` if ``path`` exists or cannot be written."""
     fix = "Name a new file in a folder that can be written."
-    with (
-        disk_errors("The file cannot be written", path, fix),
-        path.open("x", encoding="utf-8") as file,
-    ):
-        try:
-            file.write(text)
-            file.flush()
-        except OSError:
-            path.unlink()
-            raise
+    if path.exists():
+        raise InputError("The file cannot be written: File exists.", str(path), fix)
+    with disk_errors("The file cannot be written", path, fix):
+        write_atomically(path, text.encode("utf-8"))
 
 
 def make_output_folder(folder: Path) -> None:
@@ -262,10 +256,10 @@ def make_output_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
-def require_positive(args: argparse.Namespace, *names: str) -> None:
-    """Raise ``InputError`` for the first given argument of ``names`` below 1."""
+def require_positive(args: argparse.Namespace, *names: str, least: int = 1) -> None:
+    """Raise ``InputError`` for the first given argument of ``names`` below ``least``."""
     for name in names:
         value = getattr(args, name)
-        if value is not None and value < 1:
+        if value is not None and value < least:
             flag = "--" + name.replace("_", "-")
-            raise InputError(f"{flag} must be at least 1.", flag, "Give a positive number.")
+            raise InputError(f"{flag} must be at least {least}.", flag, f"Give {least} or more.")

@@ -55,14 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Simulate all pairs and write them; the result does not depend on the executor."""
     require_positive(args, "episodes", "probes_per_grip", "grips_per_mounting", "workers")
-    if args.seed < 0:
-        raise InputError("--seed must not be negative.", "--seed", "Give 0, 1, 2 ...")
+    require_positive(args, "seed", least=0)
     if args.shard and args.start is None:
         fix = "Give all calls the same, such as 2026-01-31T12:00:00Z."
         raise InputError("All shards need one time of the first episode.", "--start", fix)
     out = Path(args.out)
-    if out.exists() and not out.is_dir():
-        raise InputError("This is a file, not a folder.", str(out), "Name a new folder.")
     start = _start(args.start)
     jobs = _jobs(args, int(start.timestamp() * 1e6) * 1000)
     store, known = JobStore(out / JOBS), {spec.id for spec in jobs}

@@ -61,7 +61,6 @@ from .files import make_folder as make_folder
 from .files import package_version as package_version
 from .files import parse_json as parse_json
 from .files import parse_toml as parse_toml
-from .files import path_of as path_of
 from .files import program_stamp as program_stamp
 from .files import program_version as program_version
 from .files import read_json_lines as read_json_lines

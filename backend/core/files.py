@@ -60,11 +60,6 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def path_of(path: Path | str | None) -> Path | None:
-    """Return an optional path that a script may give as text."""
-    return None if path is None else Path(path)
-
-
 def make_folder(folder: Path) -> None:
     """Create ``folder`` and its missing parents, durably."""
     missing = []
@@ -89,7 +84,8 @@ def write_atomically(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-    except OSError:
+    except OSError as error:
+        error.filename = str(path)  # the temporary name means nothing to the user
         with suppress(OSError):
             part.unlink()
         raise

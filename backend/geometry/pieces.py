@@ -28,7 +28,7 @@ from pydantic import (
 )
 
 from touchdown.backend.config import NonNegative, Positive, Settings, read_settings
-from touchdown.backend.core import InputError, data_folder, path_of
+from touchdown.backend.core import InputError, data_folder
 from touchdown.backend.geometry import outlines, regions
 from touchdown.backend.geometry.outlines import Outline, Point
 from touchdown.backend.geometry.surfaces import FLAT, Surface
@@ -395,7 +395,8 @@ def load_pieces(folder: Path | str | None = None) -> PieceLibrary:
     """
     own, broken = _own_pieces()
     pieces = own | dict(_shipped_pieces())
-    if (extra := path_of(folder)) is not None:
+    if folder is not None:
+        extra = Path(folder)
         if not extra.is_dir():
             raise InputError("There is no such folder of pieces.", str(folder), "Check the path.")
         pieces |= _read_folder(extra)

@@ -120,8 +120,8 @@ def evaluate(
 
     """
     if not 0 <= delta < 1:
-        fix = "Give a probability: 0 to below 1."
-        raise InputError(f"No point has a probability above {delta}.", "delta", fix)
+        what = f"No point has a probability above {delta}."
+        raise InputError(what, "--delta", "Give 0 to below 1.")
     checkpoint = model if isinstance(model, Checkpoint) else load_checkpoint(Path(model))
     piece = checkpoint.card.piece
     rows = data if isinstance(data, TrainingRows) else load_episodes(Path(data), piece, labels)

@@ -316,8 +316,7 @@ def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyCompariso
         for name in strategies:
             _check_cell(piece, name, known=(piece, "FT+Tac") in found)
     require_positive(args, "trials")
-    if args.band < 0:
-        raise InputError("--band is negative.", "--band", "Give 0 or a positive number.")
+    require_positive(args, "band", least=0)
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
         raise InputError(
             f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."

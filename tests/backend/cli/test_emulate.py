@@ -217,12 +217,13 @@ def test_a_file_that_does_not_fit_on_the_disk_leaves_nothing(tmp_path, capsys, m
         return FullFile()
 
     monkeypatch.setattr(Path, "open", opened)
-    assert main(["settings", "--write", str(path)]) == 2
-    assert "No space left on device" in capsys.readouterr().err
-    assert not path.exists(), "the next try would be refused"
+    assert main(["settings", "--write", str(path), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert ("No space left on device" in error["what"], error["where"]) == (True, str(path))
+    assert list(tmp_path.iterdir()) == [], "the next try would be refused"
 
 
-class FullFile(io.StringIO):
+class FullFile(io.BytesIO):
     """File on a disk without room."""
 
     def flush(self):

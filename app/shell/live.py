@@ -136,7 +136,7 @@ class LivePresenter:
     def _show_header(self, finger: Finger) -> None:
         panel, device = (self._views.captions[finger], self._bench.devices.get(f"tactile_{finger}"))
         seen, total = self._views.tactile[finger].seen()
-        if device is None or total == 0:
+        if device is None or device.state is not DeviceState.READY or total == 0:
             panel.detail.setText("")
             return
         health = device.health

@@ -111,13 +111,22 @@ def test_real_devices_take_the_words_of_the_simulation_away(lab):
     assert lab.bar.override.value() == 10
 
 
-def test_without_a_scene_the_gripper_shows_no_data(lab):
-    operate = lab.workspaces["operate"]
+def test_without_devices_neither_grip_nor_markers_are_shown(lab, bench):
+    operate, page = lab.workspaces["operate"], lab.workspaces["operate"].page
+    lab.window.show()
     lab.go("operate")
-    operate.page.gripper.show_status(24.0, 10.0, holding=True, moving=False)
+    bench.turn(0.2)
+    settle(lab)
+    operate.live._headers_s = float("-inf")
+    settle(lab)
+    assert page.captions["left"].detail.text().startswith("61/63")
+    bench.devices["tactile_left"].state = DeviceState.CLOSED
+    operate.live._headers_s = float("-inf")
+    page.gripper.show_status(24.0, 10.0, holding=True, moving=False)
     operate.hand._drawn_s = float("-inf")
     settle(lab)
-    assert operate.page.gripper.figures.text() == "No data"
+    assert page.gripper.figures.text() == "No data"
+    assert page.captions["left"].detail.text() == ""
 
 
 def test_the_panel_is_there_at_once_and_connects_all(lab, bench, devices):

@@ -208,7 +208,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
         )
     if isinstance(states, str) or not set(states) <= set(EXPORT_STATES):
         use = f"Give a tuple of names from: {', '.join(EXPORT_STATES)}."
-        raise InputError(f"Labels cannot be chosen by {states!r}.", "states", use)
+        raise InputError(f"Labels cannot be chosen by {states!r}.", "--states", use)
     query = ExportQuery(
         piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
     )

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import sys
 import threading
 import time
 from collections import Counter
@@ -44,7 +46,11 @@ class PoolWorkers:
     def starting(self) -> Iterator[None]:
         """Register processes spawned in the block as workers of this pool."""
         before = set(multiprocessing.active_children())
-        yield
+        _block_interrupts(block=True)  # inherited
+        try:
+            yield
+        finally:
+            _block_interrupts(block=False)
         for process in set(multiprocessing.active_children()) - before:
             if process.pid is not None:
                 self._note(process.pid, "")
@@ -98,9 +104,18 @@ _job_starts: list[SimpleQueue[JobStart]] = []  # in a worker: queue that reports
 
 
 def _register_worker(begun: SimpleQueue[JobStart]) -> None:
+    # Ctrl-C reaches the workers too. They end, also while they start, without a traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _block_interrupts(block=False)
     lower_priority()
     _job_starts.append(begun)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _block_interrupts(*, block: bool) -> None:
+    if sys.platform != "win32":
+        how = signal.SIG_BLOCK if block else signal.SIG_UNBLOCK
+        signal.pthread_sigmask(how, {signal.SIGINT})
 
 
 def _end_with_parent() -> None:

@@ -57,6 +57,14 @@ def orphan(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     return {}
 
 
+def linger(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Say that it runs, and go on."""
+    (place.store.root / "worker").write_text(str(os.getpid()))
+    threading.Event().wait(60.0)
+    return {}
+
+
 KINDS = {
     "draw": draw, "add": add, "die": die, "refuse": refuse, "threads": threads, "orphan": orphan,
+    "linger": linger,
 }  # fmt: skip

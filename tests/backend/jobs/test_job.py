@@ -20,6 +20,7 @@ import numpy as np
 import psutil
 import pytest
 
+from tests.backend.devices.waiting import until
 from tests.backend.jobs.sample_kinds import KINDS
 from touchdown.backend.core import write_atomically
 from touchdown.backend.core.faults import InputError
@@ -186,6 +187,29 @@ def test_workers_of_a_killed_program_end(tmp_path):
     worker = int((tmp_path / "worker").read_text())
     with suppress(psutil.NoSuchProcess):
         psutil.Process(worker).wait(30.0)
+
+
+INTERRUPTED = CAMPAIGN.replace("orphan", "linger").replace("KINDS, store, 1", "KINDS, store, 2")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="process groups")
+@pytest.mark.parametrize("busy", [False, True])
+def test_an_interrupt_of_the_terminal_ends_workers_silently(busy, tmp_path):
+    code = INTERRUPTED.replace("list(", "try: list(") + "except KeyboardInterrupt: sys.exit(130)"
+    program = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], cwd=Path(__file__).parents[3],
+        start_new_session=True, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+    def importing() -> bool:
+        """Return True if a worker imports the program, which takes longer."""
+        workers = [p for p in psutil.Process(program.pid).children() if "spawn" in str(p.cmdline())]
+        return any(worker.cpu_times().user > 0.1 for worker in workers)
+
+    until((tmp_path / "worker").exists if busy else importing)
+    os.killpg(program.pid, signal.SIGINT)
+    _, said = program.communicate(timeout=60)
+    assert (program.returncode, said) == (130, "")
 
 
 @pytest.mark.promise("P7", "P10")

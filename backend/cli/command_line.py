@@ -108,6 +108,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of the pipe (head, less) has closed it.
         sys.stderr.close()
         return DONE
+    except OSError as error:
+        if error.filename is None:
+            raise
+        what, fix = f"{error.strerror}.", "Check the path, its permissions and the free space."
+        _complain(words, what, str(error.filename), fix)
+        return BAD_INPUT
 
 
 def _dispatch(words: list[str]) -> int:

@@ -73,10 +73,6 @@ def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Restore a backup; later labels are read back from the journal."""
-    if args.other is None:
-        raise InputError(
-            "Which backup?", "restore", f"Name a file, such as one in {folder / 'backup'}."
-        )
     with closing(WriterLock.take(folder)):
         aside = restore_backup(folder, args.other)
     with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
@@ -173,8 +169,6 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Merge labels and episodes of another copy of the dataset."""
-    if args.other is None:
-        raise InputError("Which copy?", "merge", "Name the folder of another copy of the dataset.")
     person = _person(args)
     with Dataset.open(folder, create=False, person=person, progress=progress_lines()) as dataset:
         notices = dataset.notices
@@ -222,9 +216,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run one action; return its exit code."""
-    if args.other is not None and args.action not in ("restore", "merge"):
-        raise InputError(
-            f"'{args.action}' takes no file.", str(args.other), "Name the dataset by --dataset."
-        )
     folder = Path(args.dataset) if args.dataset else dataset_folder()
+    named = {"restore": f"one in {folder / 'backup'}", "merge": "another copy of the dataset"}
+    if args.other is not None and args.action not in named:
+        fix = "Name the dataset by --dataset."
+        raise InputError(f"'{args.action}' takes no file.", str(args.other), fix)
+    if args.other is None and args.action in named:
+        what = f"'{args.action}' needs a file or folder."
+        raise InputError(what, "touchdown dataset", f"Name {named[args.action]}.")
     return ACTIONS[args.action](args, folder, screen)

@@ -34,7 +34,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from touchdown.backend.core import InputError, disk_errors, write_atomically
+from touchdown.backend.core import InputError, write_atomically
 
 AdvanceFunction = Callable[..., None]
 JSON_VERSION = 1  # of the objects of all verbs
@@ -242,18 +242,10 @@ def ctrl_c_cancels(cancel: Callable[[], object]) -> Iterator[None]:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a new file; ``InputError`` if ``path`` exists or cannot be written."""
-    fix = "Name a new file in a folder that can be written."
+    """Write a new file; raises ``InputError`` if ``path`` exists, ``OSError`` of the disk."""
     if path.exists():
-        raise InputError("The file cannot be written: File exists.", str(path), fix)
-    with disk_errors("The file cannot be written", path, fix):
-        write_atomically(path, text.encode("utf-8"))
-
-
-def make_output_folder(folder: Path) -> None:
-    """Create a folder for results; ``InputError`` if that fails."""
-    with disk_errors("The folder cannot be made", folder, "Name another folder."):
-        folder.mkdir(parents=True, exist_ok=True)
+        raise InputError("The file exists already.", str(path), "Name a new file.")
+    write_atomically(path, text.encode("utf-8"))
 
 
 def require_positive(args: argparse.Namespace, *names: str, least: int = 1) -> None:

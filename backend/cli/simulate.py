@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from touchdown.backend.cli.experiment import add_executor_arguments, run_jobs
-from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
+from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import load_simulation
-from touchdown.backend.core import InputError, disk_errors, errors_as_input
+from touchdown.backend.core import InputError, disk_errors, errors_as_input, make_folder
 from touchdown.backend.experiments import (
     Redraws,
     batch_plan,
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if held and not (args.start and finished and finished <= known):
         fix = "Name a new or an empty folder."
         raise InputError("The folder already holds episodes.", str(out), fix)
-    make_output_folder(store.root)
+    make_folder(store.root)
     if args.executor == "local" and min(args.workers, len(jobs)) == 1:
         args.executor = "serial"
     began_s = time.monotonic()

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.experiment import add_device, add_executor_arguments, run_jobs
-from touchdown.backend.cli.output import VerbOutput, make_output_folder, progress_lines
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import TrainingSettings
-from touchdown.backend.core import InputError, disk_errors
+from touchdown.backend.core import InputError, disk_errors, make_folder
 from touchdown.backend.jobs import JobStore
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _sweep(args: argparse.Namespace, screen: VerbOutput) -> int:
              for job, chosen in zip(jobs, variants, strict=True)}  # fmt: skip
     out = trainings[0].out
     store = JobStore(out.with_suffix(".sweep"))
-    make_output_folder(store.root)
+    make_folder(store.root)
     failed = run_jobs(
         args, screen, store, {"variant": train_variant}, jobs,
         lambda job: (names[job.id], job.params["settings"]["epochs"]),

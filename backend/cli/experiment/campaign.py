@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from touchdown.backend.cli.experiment.executors import add_device, add_executor_arguments, run_jobs
-from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
+from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import SimulationSettings, StackSettings, load_simulation
-from touchdown.backend.core import InputError, disk_errors, write_atomically
+from touchdown.backend.core import InputError, disk_errors, make_folder, write_atomically
 from touchdown.backend.experiments import (
     KINDS,
     adopt_models,
@@ -74,12 +74,12 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 class ExperimentRun:
     """One call of an experiment. ``jobs``: all that it needs; ``failed``: ids of failed ones.
 
-    The constructor raises ``InputError`` if the folder of the jobs cannot be made.
+    The constructor raises ``OSError`` if the folder of the jobs cannot be made.
     """
 
     def __init__(self, args: argparse.Namespace, screen: VerbOutput) -> None:
         require_positive(args, "workers")
-        make_output_folder(args.out / "jobs")
+        make_folder(args.out / "jobs")
         self.args, self.screen = args, screen
         self.store: JobStore = JobStore(args.out / "jobs")
         self.jobs: dict[str, JobSpec] = {}

@@ -10,7 +10,8 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 
 from touchdown.backend.cli import evaluate, simulate, train
-from touchdown.backend.cli.output import VerbOutput, make_output_folder, require_positive
+from touchdown.backend.cli.output import VerbOutput, require_positive
+from touchdown.backend.core import make_folder
 from touchdown.backend.geometry import load_pieces
 
 TRAINING_BOTTOMS = "circle15,circle25,square15"
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     require_positive(args, *counts)
     library = load_pieces(args.pieces_dir)
     pieces = [library.top(name).name for name in args.pieces.split(",")]
-    make_output_folder(args.out)
+    make_folder(args.out)
     for piece in pieces:
         with TemporaryDirectory(prefix="touchdown-models-") as folder:
             answer[piece] = _make(args, piece, Path(folder), screen)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import os
 import shutil
@@ -145,6 +146,7 @@ def test_help_and_version_are_no_errors(words, capsys):
 @pytest.mark.parametrize(
     "words",
     [
+        *(["dataset", "merge"], ["dataset", "restore"], ["dataset", "verify", "x"]),
         *(["stak"], ["stack", "--no-such-thing"], ["stack", "--trials", "many"], ["--wrong"]),
         *(["app", "--theme", "foo"], ["app", "--them", "x"], ["app", "--size", "big"]),
     ],
@@ -200,6 +202,16 @@ def test_an_interrupt_is_130(verb):
 def test_a_defect_is_not_hidden(verb):
     verb(_raise(ZeroDivisionError()))
     with pytest.raises(ZeroDivisionError):
+        main(["stack"])
+
+
+def test_an_error_of_a_file_names_it_and_another_one_is_a_defect(verb, capsys):
+    verb(_raise(PermissionError(errno.EACCES, "Permission denied", "out/press.html")))
+    assert main(["stack", "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert (error["what"], error["where"]) == ("Permission denied.", "out/press.html")
+    verb(_raise(OSError("the socket is gone")))
+    with pytest.raises(OSError, match="socket"):
         main(["stack"])
 
 

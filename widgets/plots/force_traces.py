@@ -203,7 +203,7 @@ def _polylines(
     ]
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def _laid_out(text: str, scale: float) -> QStaticText:
     """Return a read-out with cached text layout; most values recur."""
     made = QStaticText(true_minus(text))

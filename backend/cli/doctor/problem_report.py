@@ -7,6 +7,7 @@ named in the archive and do not end the report.
 from __future__ import annotations
 
 import getpass
+import io
 import json
 import os
 import platform
@@ -22,8 +23,8 @@ from touchdown.backend.core import (
     InputError,
     config_folder,
     data_folder,
-    disk_errors,
     program_stamp,
+    write_atomically,
 )
 
 FILE_BYTES = 20_000_000  # of a longer file the end is kept
@@ -44,8 +45,8 @@ def write_report(
 
     ``checks``: findings of the doctor, for JSON; ``lab``: lab file to include; ``pictures``:
     include those of the last run; ``names``: keep the names of persons, account, computer and home
-    folder. Both together include its episode files. Raises ``InputError`` if ``out`` exists or
-    cannot be written.
+    folder. Both together include its episode files. Raises ``InputError`` if ``out`` exists, and
+    ``OSError`` if it cannot be written.
     """
     shown = (PICTURES if pictures else set()) | ({".mcap"} if pictures and names else set())
     facts = {"doctor.json": checks, "versions.json": _versions()}
@@ -72,16 +73,15 @@ def write_report(
                 texts[name] = content.decode(errors="replace")
     texts["README.txt"] = "\n".join(lines)
     clean = str if names else _redaction(texts.values())
-    fix = "Name a new file in a folder that can be written."
-    with (
-        disk_errors("The report cannot be written", out, fix),
-        out.open("xb") as target,
-        zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive,
-    ):
+    if out.exists():
+        raise InputError("The file exists already.", str(out), "Name a new file.")
+    target = io.BytesIO()
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in binary.items():
             archive.writestr(name, content)
         for name, text in texts.items():
             archive.writestr(name, clean(text))
+    write_atomically(out, target.getvalue())
     return sorted([*texts, *binary])
 
 

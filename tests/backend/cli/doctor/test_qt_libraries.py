@@ -1,7 +1,9 @@
 """Doctor: each finding with its fix, one JSON object, exit code 1 only for what stops work."""
 
+import errno
 import io
 import json
+import os
 import re
 import shutil
 import zipfile
@@ -288,8 +290,16 @@ def test_a_problem_report_holds_no_names_and_no_pictures(monkeypatch, data_of_op
     assert json.loads(files["versions.json"])["program"] == program_stamp()
     assert json.loads(files["doctor.json"])["checks"][0]["detail"] == "~/data"
     assert len(files["run/journal.jsonl"].splitlines()) == 4
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="exists already"):
         write_report(data_of_operator / "out.zip", {})
+    monkeypatch.setattr(os, "fsync", _full)
+    with pytest.raises(OSError, match="No space left"):
+        write_report(data_of_operator / "full.zip", {})
+    assert not list(data_of_operator.glob("*full*")), "the next try would be refused"
+
+
+def _full(file):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_names_and_pictures_come_with_an_option_each(monkeypatch, data_of_operator):

@@ -34,10 +34,7 @@ from .fusion import PORTIONS as PORTIONS
 from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
 from .fusion import adopt_tuning as adopt_tuning
-from .fusion import best_rules as best_rules
 from .fusion import ready_sequences as ready_sequences
-from .fusion import threshold_counts as threshold_counts
-from .fusion import threshold_jobs as threshold_jobs
 from .identification_report import identification_page as identification_page
 from .identification_report import identify_dataset as identify_dataset
 from .job_kinds import KINDS as KINDS

@@ -76,7 +76,6 @@ JOB_FUNCTIONS = {
     "sequences": ("fusion", "probe_sequences"),
     "fuse": ("fusion", "train_fusion"),
     "fuse-join": ("fusion", "join_trained"),
-    "fused-trials": ("fusion", "fused_trials"),
     "certify": ("certification", "run_certified_scenes"),
 }
 

@@ -356,14 +356,6 @@ class FusedStrategy:
                 return "the centres of pressure do not enclose it"
         return ""
 
-    def inset_at(self, offset_mm: XY) -> InsetDistribution | None:
-        """Return the expected inset of the centre of mass there; None before a probe."""
-        if self._last is None:
-            return None
-        here, com = self._offset_mm[-1], self._held.com_xy_mm
-        point = offset_mm[0] - here[0] + com[0], offset_mm[1] - here[1] + com[1]
-        return self._inset(self._last, np.array([point]), here)
-
     def missed(self, offset_mm: XY) -> PlaceAction:
         """Return half way to the last contact; before any contact, follow a spiral.
 

@@ -7,7 +7,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from touchdown.backend import experiments
 from touchdown.backend.annotations import LABEL_CHOICES
@@ -24,7 +23,6 @@ from touchdown.backend.core import (
     write_atomically,
 )
 from touchdown.backend.geometry import FRESH_SEED, load_pieces
-from touchdown.backend.jobs import JobSpec, JobStore
 from touchdown.backend.runs import check_weighing
 
 
@@ -78,9 +76,6 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
                        "of a dataset count")  # fmt: skip
     fused.add_argument("--mix-share", type=float, default=0.5, help="of simulated sequences in a "
                        "fine-tuning")  # fmt: skip
-    fused.add_argument("--rule-trials", type=int, default=0, help="trials of each piece on each of "
-                       "four separate bottoms, or of each class of outlines, for every rule of "
-                       "release")  # fmt: skip
 
 
 def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
@@ -102,11 +97,11 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
     known &= args.parts >= 4 or (args.parts == 0 and others > 0)
     known &= args.surface_parts == 0 or args.outlines == "any"
     known &= args.batch >= 1
-    if not known or min(args.steps, args.seed, args.rule_trials) < 0:
+    if not known or min(args.steps, args.seed) < 0:
         raise InputError(
-            "A number of parts, networks, steps or trials, batch or seed is out of range.",
+            "A number of parts, networks or steps, batch or seed is out of range.",
             "--parts, --long-parts, --longest-parts, --free-parts, --surface-parts, --networks, "
-            "--steps, --batch, --rule-trials, --seed",
+            "--steps, --batch, --seed",
             "Give 4 to 120 parts, none or 2 to 400 long, 2 to 200 longest, 2 to 100 free and, with "
             "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
             f"others), and 1 to {MOST_NETWORKS} networks.",
@@ -129,21 +124,16 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
                 "Simulate at least two jobs of each portion, with --steps 0.",
             )
     jobs = recipe.jobs()
-    answer: campaign.Json = {"file": None, "fused": None, "rules": []}
-    if not args.steps:
-        run.run(jobs)
-        return {**answer, **run.counts()}
-    training = jobs[-1].id
-    asked = experiments.threshold_jobs(bench, code, training, args.rule_trials, args.outlines)
-    run.run([*jobs, *asked])
-    out = args.out / experiments.WEIGHTS
-    if store.has(training):
+    answer: campaign.Json = {"file": None, "fused": None}
+    run.run(jobs)
+    training, out = jobs[-1].id, args.out / experiments.WEIGHTS
+    if args.steps and store.has(training):
         weights = store.folder(training) / experiments.WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
             write_atomically(wanted, made_there.read_bytes())
         run.screen.say(f"The network is in {out}.")
         answer |= {"file": str(out), "fused": store.result(training)}
-    return {**answer, **run.counts(), "rules": _rules(run.screen, store, asked)}
+    return {**answer, **run.counts()}
 
 
 def _ranges(path: Path) -> dict[str, list[float]]:
@@ -174,18 +164,6 @@ def _tuning(run: campaign.ExperimentRun, bench: SimulationSettings) -> campaign.
     return experiments.adopt_tuning(
         run.store, args.pretrained, rows, height_mm, args.mix_share, args.rate
     )
-
-
-def _rules(screen: VerbOutput, store: JobStore, asked: list[JobSpec]) -> list[dict[str, Any]]:
-    trials = [t for spec in asked if store.has(spec.id) for t in store.result(spec.id)["trials"]]
-    if not trials:
-        return []
-    found = experiments.threshold_counts(trials)
-    title = f"Best rules of release, {len(trials)} trials on bottoms of their own"
-    screen.table(
-        title, list(found[0]), *(map(str, row.values()) for row in experiments.best_rules(found))
-    )
-    return found
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

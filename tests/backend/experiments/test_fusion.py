@@ -13,6 +13,16 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from tests.rule_study import (
+    INSETS_MM,
+    RULE_SEED,
+    THRESHOLD_BOTTOMS,
+    best_rules,
+    count_under_threshold,
+    held_out_setup,
+    record_trials,
+    threshold_jobs,
+)
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation, settings_with
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError, disk_errors
@@ -20,24 +30,16 @@ from touchdown.backend.episodes import TrainingRows
 from touchdown.backend.experiments import KINDS, oracle
 from touchdown.backend.experiments.comparison import comparison_tables
 from touchdown.backend.experiments.fusion import (
-    INSETS_MM,
     PORTIONS,
-    RULE_SEED,
-    THRESHOLD_BOTTOMS,
     WEIGHTS,
     DataPortion,
     FusionRecipe,
     adopt_tuning,
-    best_rules,
-    count_under_threshold,
-    held_out_setup,
     labelled_sequences,
     margin_field,
     next_places,
     read_sequences,
     ready_sequences,
-    record_trials,
-    threshold_jobs,
 )
 from touchdown.backend.experiments.models import WEIGHTS as MODELS_WEIGHTS
 from touchdown.backend.experiments.models import adopt_models, keep_models
@@ -482,7 +484,11 @@ def test_no_two_parts_share_a_seed_and_none_has_one_of_the_tables(
         seeds += [job.seed + k for job in jobs for k in range(240)]
     assert len(set(seeds)) == len(seeds)
     highest = max(TRAINING_SEED, STATIC_SEED, STACKING_SEED) + 100 * CELL_SEEDS
-    own = [job.seed + k for job in threshold_jobs(bench_v1, "test", "n", 64) for k in range(8)]
+    own = [
+        job.seed + k
+        for job in threshold_jobs(bench_v1, "test", shipped_path(), 64)
+        for k in range(8)
+    ]
     assert highest < min(seeds) < max(seeds) < min(own)
     assert len(set(own)) == len(own)
 
@@ -549,7 +555,7 @@ def test_a_rule_counts_what_trials_under_it_come_to() -> None:
 def test_rules_for_any_outline_are_counted_on_fresh_ones_of_another_seed(
     bench_v1: SimulationSettings,
 ) -> None:
-    jobs = threshold_jobs(bench_v1, "test", "n", 2, "any")
+    jobs = threshold_jobs(bench_v1, "test", shipped_path(), 2, "any")
     assert [job.params["piece"] for job in jobs] == 2 * ["mushroom", "barrel", "pot"]
     assert len({job.seed + k for job in jobs for k in range(10)}) == 60
     assert {job.params["outline_seed"] for job in jobs} == {RULE_SEED} != {FRESH_SEED}

@@ -18,6 +18,7 @@ from shapely import contains_xy
 from shapely.affinity import translate
 from shapely.geometry import Point, Polygon, box
 
+from tests.rule_study import inset_at
 from touchdown.backend.config.bench_description import bench_sha256
 from touchdown.backend.config.method import (
     BeliefSettings,
@@ -169,7 +170,7 @@ def concluded(
 
 def inset_and_centre(strategy: FusedStrategy, at: XY) -> tuple[InsetDistribution, XY]:
     """Return the inset of the centre of mass with the face there, and its place."""
-    inset, com = strategy.inset_at(at), strategy._held.com_xy_mm
+    inset, com = inset_at(strategy, at), strategy._held.com_xy_mm
     assert inset is not None
     return inset, (at[0] + com[0], at[1] + com[1])
 
@@ -345,7 +346,7 @@ def test_signals_that_are_no_numbers_end_the_trial_without_a_release(
 
 
 def test_before_a_probe_nothing_is_known() -> None:
-    assert FusedStrategy(HELD, SETTINGS, (0.0, 0.0)).inset_at((0.0, 0.0)) is None
+    assert inset_at(FusedStrategy(HELD, SETTINGS, (0.0, 0.0)), (0.0, 0.0)) is None
 
 
 def test_a_place_without_contact_sends_it_half_way_back(presses: list[TrialPresses]) -> None:
@@ -446,7 +447,7 @@ def test_the_centre_of_mass_of_a_mug_is_judged_and_brought_over_the_middle() -> 
     there = (MIDDLE_MM[0] - MUG[0], MIDDLE_MM[1] - MUG[1])
     assert first.action.kind == "shift"
     assert first.action.target_mm == pytest.approx(there, abs=1e-6)
-    over = reasoner.inset_at(there)
+    over = inset_at(reasoner, there)
     assert over is not None
     assert over.expected_mm() == pytest.approx(DISC_MM)
     assert touch(reasoner, there).action.kind == "release"

@@ -420,11 +420,9 @@ class LabelStore(LabelReader, LabelEditor):
             read_review_status(connection, uuid)
             draft.opinions.append({"episode": uuid, "verdict": verdict} | asdict(label))
 
-    def record_control_item_step(
-        self, person: str, verb: str, step: ControlItemStep, *, context: AnswerContext | None = None
-    ) -> None:
+    def record_control_item_step(self, person: str, verb: str, step: ControlItemStep) -> None:
         """Store a step on a control item; it can be undone but changes no label."""
-        with self.edit(person, verb, context) as (connection, draft, _):
+        with self.edit(person, verb) as (connection, draft, _):
             read_review_status(connection, step.version.episode)
             operation_log.add_step(draft, step)
 

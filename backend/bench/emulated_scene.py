@@ -63,7 +63,6 @@ from touchdown.backend.emulation import (
 )
 from touchdown.backend.simulation import ArmCycle, CycleRecord, Scene, SceneTruth, SimProgram, World
 
-STILL_S = 0.2  # interval over which motion of the arm is measured
 REST_ROWS = 100  # wrist samples of a new scene, averaged to the payload without contact
 
 
@@ -73,14 +72,12 @@ class DriverObservations:
 
     ``step_share`` is the largest joint step as a share of the joint's top speed. ``late_command_s``
     is the time of the last motion command after a controller error (emergency stop, alarm, servo
-    off). ``moving_mm`` is the path of the pivot in the last 0.2 s. ``openings`` counts open
-    commands on a held piece, ``barred`` motions of a gripper with an unacknowledged fault.
-    ``force_n`` is the largest force on the wrist beyond its payload.
+    off). ``openings`` counts open commands on a held piece, ``barred`` motions of a gripper with an
+    unacknowledged fault. ``force_n`` is the largest force on the wrist beyond its payload.
     """
 
     step_share: float
     late_command_s: float
-    moving_mm: float
     openings: int
     barred: int
     force_n: float
@@ -130,13 +127,12 @@ class DriverMonitor:
             strongest_n = np.linalg.norm(force_n - self._rest_n, axis=1).max()
             self._force_n = max(self._force_n, float(strongest_n))
 
-    def observations(self, moving_mm: float) -> DriverObservations:
+    def observations(self) -> DriverObservations:
         """Return the observations so far."""
         stream, gripper = self._melfa.stream, self.gripper
         return DriverObservations(
             step_share=stream.largest_share,
             late_command_s=stream.late_command_s,
-            moving_mm=moving_mm,
             openings=0 if gripper is None else gripper.openings,
             barred=0 if gripper is None else gripper.barred,
             force_n=self._force_n,
@@ -222,11 +218,7 @@ class EmulatedScene:
 
     def driver_observations(self) -> DriverObservations:
         """Return the driver behaviour observed so far."""
-        controller, pivot_mm = self.melfa.controller, self.frame.pivot_mm
-        now_s = controller.now_s
-        before_mm = pivot_mm(controller.joints_at(now_s - STILL_S))
-        way_mm = pivot_mm(controller.joints_at(now_s)) - before_mm
-        return self.monitor.observations(float(np.linalg.norm(way_mm)))
+        return self.monitor.observations()
 
     def command_travel(self, since_s: float) -> tuple[float, float, float]:
         """Return ``command_travel`` of the arm since a monotonic time."""

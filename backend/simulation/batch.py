@@ -90,17 +90,16 @@ class EpisodeBatch:
     """n labelled episodes.
 
     ``observation`` (n, 20, 258) float32; ``offset_mm`` (n, 2) commanded, ``true_offset_mm`` (n, 2);
-    ``patch`` (n, N) bool, overlap at the commanded displacement (the label); ``onset_error_s``,
-    ``slip_mm`` (largest change of shear slip in this probe), ``residual``: (n,); ``episode``,
-    ``grip``, ``mounting``: (n,) numbers within the plan; ``rejected``: probes drawn again, of which
-    ``unsolved`` found contact and had no balance in the simulation.
+    ``patch`` (n, N) bool, overlap at the commanded displacement (the label); ``slip_mm`` (largest
+    change of shear slip in this probe), ``residual``: (n,); ``episode``, ``grip``, ``mounting``:
+    (n,) numbers within the plan; ``rejected``: probes drawn again, of which ``unsolved`` found
+    contact and had no balance in the simulation.
     """
 
     observation: NDArray[np.float32]
     offset_mm: FloatArray
     true_offset_mm: FloatArray
     patch: NDArray[np.bool_]
-    onset_error_s: FloatArray
     slip_mm: FloatArray
     residual: FloatArray
     episode: NDArray[np.intp]
@@ -280,7 +279,6 @@ class _BatchBench:
             offset_mm=commanded,
             true_offset_mm=true,
             patch=plan.bottom_outline.contains(plan.face_points_mm + commanded[:, None, :]),
-            onset_error_s=pressed.onset_s - pressed.touch_s,
             slip_mm=np.hypot(slipped[..., 0], slipped[..., 1]).max(axis=1),
             residual=pressed.state.residual,
             episode=np.array(grips) * plan.probes_per_grip + number,

@@ -301,21 +301,21 @@ def test_a_command_after_an_emergency_stop_is_seen_with_its_delay(melfa):
     here = melfa.controller.joints.command_rad
     assert melfa.stream.receive(1.0, move(here)) is not None
     melfa.controller.raise_error(50)
-    assert DriverMonitor(melfa).observations(0.0).late_command_s == 0.0
-    assert "no command after an error" in str(DriverMonitor(melfa).observations(0.0))
+    assert DriverMonitor(melfa).observations().late_command_s == 0.0
+    assert "no command after an error" in str(DriverMonitor(melfa).observations())
     melfa.stream.receive(1.25, move(here))
     melfa.stream.receive(
         1.75, encode_mxt_request(MxtRequest(MxtCommand.NONE, None, (2, 0, 0, 0), 0))
     )
-    assert DriverMonitor(melfa).observations(0.0).late_command_s == pytest.approx(0.25)
-    assert "250 ms after an error" in str(DriverMonitor(melfa).observations(0.0))
+    assert DriverMonitor(melfa).observations().late_command_s == pytest.approx(0.25)
+    assert "250 ms after an error" in str(DriverMonitor(melfa).observations())
 
 
 def test_a_step_is_seen_as_a_share_of_the_top_speed(melfa):
     here = melfa.controller.joints.command_rad.copy()
     here[0] += 0.8 * SPEEDS_RAD_S[0] * CYCLE_S
     melfa.stream.receive(1.0, move(here))
-    assert DriverMonitor(melfa).observations(0.0).step_share == pytest.approx(0.8)
+    assert DriverMonitor(melfa).observations().step_share == pytest.approx(0.8)
 
 
 def test_force_counts_from_what_hangs_on_the_sensor(melfa):
@@ -323,7 +323,7 @@ def test_force_counts_from_what_hangs_on_the_sensor(melfa):
     hanging = np.tile([0.0, 0.0, -14.7, 0.0, 0.0, 0.0], (REST_ROWS, 1))
     monitor.add_samples(hanging)
     monitor.add_samples(hanging + np.array([0.0, 3.0, 4.0, 9.0, 9.0, 9.0]))
-    assert monitor.observations(0.0).force_n == pytest.approx(5.0)
+    assert monitor.observations().force_n == pytest.approx(5.0)
 
 
 def test_a_motion_asked_of_a_gripper_in_a_fault_is_seen(melfa):
@@ -335,7 +335,7 @@ def test_a_motion_asked_of_a_gripper_in_a_fault_is_seen(melfa):
 
 
 def test_truth_and_witness_are_told_line_by_line(melfa):
-    seen = DriverObservations(0.1, 0.0, 0.0, 1, 0, 8.0)
+    seen = DriverObservations(0.1, 0.0, 1, 0, 8.0)
 
     class Joined:
         def driver_observations(self):

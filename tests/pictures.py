@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from PySide6.QtCore import QDeadlineTimer, QEventLoop
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 
 from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
@@ -31,6 +31,7 @@ from touchdown.backend.runs import RecordingOptions, RunState, SceneChoice
 
 SIZE = (1280, 720)
 PARTS = ("operate", "stack", "review", "collect", "train", "film")
+RECORDING = Path(__file__).parent / "data/foreign/press.mcap"
 PERSON = "Ann"
 PROBES = 12
 PRESSED_S = 1.6  # time after which a press has reached its full force
@@ -105,20 +106,25 @@ class Day:
         self.until(lambda: (status().probe, status().phase) == (probe, "press"))
         self.go_on()
 
-    def grab(self, name: str, theme: str = "dark") -> None:
+    def grab(self, name: str, theme: str = "dark", widget: QWidget | None = None) -> None:
         self.main.look.show(theme, 1.0)
         for _ in range(20):
             self.main.pump.tick()
             QApplication.processEvents()
         # The lowest bit is camera noise and takes a sixth of the file.
-        pixels = self._pixels() & 0xFE
+        pixels = self._pixels(widget) & 0xFE
         _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         self._files.keep(f"{name}.png", png.tobytes())
         self.main.look.show("dark", 1.0)
 
-    def _pixels(self) -> Any:
-        """Return the window as (height, width, 3) bytes, BGR."""
-        image = self.main.window.grab().toImage().convertToFormat(QImage.Format.Format_BGR888)
+    def _pixels(self, widget: QWidget | None = None) -> Any:
+        """Return the window, or a widget, as (height, width, 3) bytes, BGR."""
+        image = (
+            (widget or self.main.window)
+            .grab()
+            .toImage()
+            .convertToFormat(QImage.Format.Format_BGR888)
+        )
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
         return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
 
@@ -183,6 +189,14 @@ class Day:
         self.until(lambda: self.idle() and len(dataset.episodes()) == PROBES)
         self.wait(lambda: not workspace.reader.busy)
         self.grab("collect")
+        main.actions.action("collect.import").trigger()
+        sheet = workspace.recordings
+        sheet.take(RECORDING)
+        self.wait(sheet.preview.isEnabled)
+        sheet.read()
+        self.wait(sheet.preview.isEnabled)
+        self.grab("import", widget=sheet)
+        sheet.close()
         workspace.page.show_half("label")
         label = workspace.label
         self.wait(lambda: label.presenter is not None and label.presenter.walk.begun)

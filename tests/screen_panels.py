@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 CLEAR_MM = 24.0  # height of the face over the surface while the hand is jogged
 REPORT = Path(__file__).parents[1] / "docs/results/tables-full.json"
+RECORDING = Path(__file__).parent / "data/foreign/press.mcap"
 DAY_NAMES = (
     *(f"{side}_{key}" for key in ("markers", "noise_px") for side in ("left", "right")),
     "wrist_noise_n", "wrist_drift_n_min",
@@ -170,6 +171,20 @@ def beside_the_queue(stage: Stage) -> Iterator[str]:
     page.queue.setCurrentIndex(page.queue.findData("unlabelled"))
     label._choose_queue("unlabelled")
     stage.settle()
+
+
+def imported(stage: Stage) -> Iterator[str]:
+    """Import of a recording, before a file is chosen and with contradictions of its mapping."""
+    stage.main.actions.action("collect.import").trigger()
+    sheet = stage.main.workspaces["collect"].recordings
+    stage.settle()
+    yield "import"
+    sheet.take(RECORDING)
+    stage.until(sheet.preview.isEnabled)
+    sheet.read()
+    stage.until(sheet.preview.isEnabled)
+    yield "import-contradicted"
+    sheet.close()
 
 
 def reviewed(stage: Stage, runs: Path) -> Iterator[str]:

@@ -367,6 +367,7 @@ class Stage:
         yield "label"
         yield from screen_panels.beside_the_queue(self)
         collect.page.show_half("collect")
+        yield from screen_panels.imported(self)
 
     def _train_and_review(self) -> Iterator[str]:
         for page in ("train", "review"):

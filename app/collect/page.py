@@ -13,7 +13,7 @@ from touchdown.app.collect.probes import SIGNALS
 from touchdown.app.shell import LivePage, arm_position_mm, column_of
 from touchdown.backend.bench import Session
 from touchdown.backend.core import FINGERS
-from touchdown.widgets.base import CaptionedView, Panel, Theme, add_items, hbox, tr, vbox
+from touchdown.widgets.base import CaptionedView, Panel, Theme, flat_button, hbox, tr, vbox
 from touchdown.widgets.forms import LastProbePanel, PairHealthPanel, TargetPanel
 from touchdown.widgets.lists import EpisodeTable
 from touchdown.widgets.plots import DistributionView
@@ -52,6 +52,7 @@ class CollectPage(LivePage):
         self.table = EpisodeTable(theme, self.row_chosen.emit)
         self.deleted = QCheckBox(tr("Deleted too"))
         self.deleted.setToolTip(tr("Show probes that were discarded"))
+        self.take_in = flat_button("Import", "Import recordings of other laboratories")
         self.health = PairHealthPanel()
         self._recorder_panel = Panel("Recorder")
         self.recorder = self._recorder_panel.detail
@@ -83,6 +84,7 @@ class CollectPage(LivePage):
         middle = vbox((self._live_panel(), 1), (self._maps_panel(), 1), spacing=8)
         self.episodes = Panel("Episodes", self.table)
         self.episodes.header.addWidget(self.deleted)
+        self.episodes.header.addWidget(self.take_in)
         self._right = column_of(
             (self.probe, 0), (self.episodes, 1), (self.health, 0), (self._recorder_panel, 0)
         )
@@ -98,7 +100,8 @@ class CollectPage(LivePage):
             plot.setMinimumSize(200, 104)
         fingers = hbox(*((caption, 1) for caption in self.captions.values()), spacing=10)
         plots = hbox((self.force, 1), (self.moment, 1), spacing=10)
-        add_items(self.live.column, fingers, (plots, 1))
+        self.live.column.addLayout(fingers)
+        self.live.column.addLayout(plots, 1)
         return self.live
 
     def _maps_panel(self) -> Panel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
@@ -19,8 +19,11 @@ from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event
 from touchdown.backend.geometry import load_pieces
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import TargetForm
+
+if TYPE_CHECKING:
+    from touchdown.app.collect.recording_import import RecordingSheet
 
 
 def join_half_commands(
@@ -56,6 +59,7 @@ def join_half_commands(
 
 
 COLLECT, LABEL = "collect", "label"
+RECORDINGS = (".mcap", "")  # files of ROS 2, and folders
 OTHER = {COLLECT: LABEL, LABEL: COLLECT}
 TITLES = {COLLECT: "Collect", LABEL: "Label"}
 
@@ -86,6 +90,7 @@ class CollectWorkspace(shell.Workspace):
         # Read-only dataset, open while no person is named.
         self._looked_at: Dataset | None = None
         self._offered: Callable[[], None] = lambda: None  # the way to Label
+        self.recordings: RecordingSheet | None = None
         self.label.opened = self._take_dataset
         self.label.refused = self._miss_dataset
         self.label.person_changed = self._show_person
@@ -178,6 +183,8 @@ class CollectWorkspace(shell.Workspace):
             self._bench.close()
             self._bench.dataset = None
         self._stop_looking()
+        if self.recordings is not None:
+            self.recordings.close_worker()
         self.reader.close()
         self.label.close()
 
@@ -248,6 +255,27 @@ class CollectWorkspace(shell.Workspace):
             self._context.offer(gave, step, show)
             self._offered = self._offered if left else show
 
+    def _recording_sheet(self) -> RecordingSheet:
+        """Return the sheet that imports recordings, made on first use."""
+        if self.recordings is None:
+            # The formats of others are imported on first use.
+            from touchdown.app.collect.recording_import import RecordingSheet
+
+            window, theme = self.page.window(), self._context.theme
+            self.recordings = RecordingSheet(window, theme, self._import_target)
+            self.recordings.imported.connect(self._imported)
+        return self.recordings
+
+    def _import_target(self) -> tuple[Dataset | None, str, str, str]:
+        form, presenter = self.collect_page.target.form(), self.presenter
+        return presenter.dataset, presenter.person, form.piece, form.bottom
+
+    def _imported(self, name: str, uuids: list[str]) -> None:
+        """Show the imported probes, and offer to label them."""
+        for uuid in uuids:
+            self.presenter.probes.read(uuid, lambda _: None)
+        self._offer_next(tr("{} from {}.", count_noun(len(uuids), "new episode"), name), 0)
+
     # -- orders -----------------------------------------------------------------------------------
 
     def _wire(self) -> None:
@@ -265,6 +293,8 @@ class CollectWorkspace(shell.Workspace):
         page.dot_chosen.connect(presenter.probes.choose_dot)
         page.row_chosen.connect(presenter.probes.choose)
         page.filter_changed.connect(presenter.probes.restyle)
+        page.take_in.clicked.connect(lambda: self._recording_sheet().present())
+        shell.FileDrop(page, RECORDINGS, lambda path: self._recording_sheet().take(path))
 
     def _commands(self) -> tuple[shell.WindowCommand, ...]:
         return (
@@ -281,6 +311,8 @@ class CollectWorkspace(shell.Workspace):
                     lambda: self.collect_page.target.ask_person()),
             shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
                     lambda: self.collect_page.fit()),
+            shell.WindowCommand("import", "Import recordings of other laboratories", "",
+                                lambda: self._recording_sheet().present()),
         )  # fmt: skip
 
     def _act(

@@ -136,7 +136,10 @@ class BookmarkDialog(NameDialog):
 
 
 class FileDrop(QObject):
-    """Accepts one dropped file with one of ``suffixes`` on a widget; ``take`` gets its path."""
+    """Accepts one dropped file with one of ``suffixes`` on a widget; ``take`` gets its path.
+
+    The suffix "" stands for folders.
+    """
 
     def __init__(
         self, widget: QWidget, suffixes: Collection[str], take: Callable[[Path], None]
@@ -150,7 +153,8 @@ class FileDrop(QObject):
         """Accept a drag of one such file, and take it when it is dropped."""
         if isinstance(event, QDragEnterEvent | QDropEvent):
             paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
-            if len(paths) == 1 and paths[0].suffix.lower() in self._suffixes:
+            suffixes = ["" if path.is_dir() else path.suffix.lower() or None for path in paths]
+            if len(paths) == 1 and suffixes[0] in self._suffixes:
                 event.acceptProposedAction()
                 if event.type() is QEvent.Type.Drop:
                     self._take(paths[0])

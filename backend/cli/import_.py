@@ -6,20 +6,20 @@ import argparse
 import getpass
 from pathlib import Path
 
-import numpy as np
-
 from touchdown.backend import experiments
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.core import FINGERS, InputError, Recording, write_atomically
+from touchdown.backend.core import InputError, Recording, write_atomically
 from touchdown.backend.exchange import (
-    CONTACT_S,
     EpisodeImport,
     ImportOptions,
     import_labels,
+    press_curves,
+    propose_mapping,
     read_coco,
     read_csv,
     read_manifest,
+    recording_contents,
 )
 from touchdown.backend.runs import dataset_folder
 
@@ -65,6 +65,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError("A mapping file is missing.", "--map", "Name it; see docs/exchange.md.")
     if args.map is not None and args.format not in EPISODES:
         raise InputError(f"{args.format} needs no mapping file.", "--map", "Remove it.")
+    if args.map is not None and not args.map.exists():
+        text = propose_mapping(recording_contents(args.source))
+        write_atomically(args.map, text.encode("utf-8"))
+        screen.say(f"A mapping to correct is in {args.map}. Then repeat the command.")
+        return 1
     if args.format in LABELS and not args.person:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
@@ -117,23 +122,11 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
 def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> str:
     """Return an HTML page of the signals of one press, and what contradicts the mapping."""
     assert press is not None
-    hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
-    signals = [
-        ("Force", "N", "xyz", press.wrench_t_s, press.wrench[:, :3]),
-        ("Moment", "N m", "xyz", press.wrench_t_s, press.wrench[:, 3:]),
-        ("Hand from contact", "mm", "xyz", press.pose_t_s, hand_mm),
-    ]
-    for finger in FINGERS:
-        own = [field for field in press.fields if field.finger == finger]
-        mean = np.array([field.displacement_px.mean(axis=0) for field in own]).reshape(-1, 2)
-        t_s = np.array([field.t_s for field in own])
-        signals.append((f"Markers, {finger}", "px", "uv", t_s, mean))
     pictures = []
-    for title, unit, names, t_s, rows in signals:
-        if np.isfinite(rows).any():
-            curves = dict(zip(names, rows.T, strict=True))
-            svg = experiments.curves_chart(title, t_s - CONTACT_S, curves, ("s", unit))
-            pictures.append(experiments.ReportPicture(svg))
+    for one in press_curves(press):
+        curves = dict(zip(one.axes, one.rows.T, strict=True))
+        svg = experiments.curves_chart(one.title, one.t_s, curves, ("s", one.unit))
+        pictures.append(experiments.ReportPicture(svg))
     about = (
         f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N.",
         "In contact Fz rises, z of the hand falls, and v of the markers falls, towards the hand.",

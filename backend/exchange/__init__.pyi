@@ -3,9 +3,14 @@ from .csv_tables import read_csv as read_csv
 from .exports import EXPORTS as EXPORTS
 from .exports import ExportResult as ExportResult
 from .exports import export as export
+from .features import RecordedSignal as RecordedSignal
 from .imports import EpisodeImport as EpisodeImport
 from .imports import ImportOptions as ImportOptions
+from .imports import ImportSurvey as ImportSurvey
+from .imports import recording_contents as recording_contents
 from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
-from .mapped_presses import CONTACT_S as CONTACT_S
+from .mapped_presses import press_curves as press_curves
+from .mapping import propose_mapping as propose_mapping
+from .mapping import recording_format as recording_format
 from .query import ExportState as ExportState

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,16 @@ class ForeignEpisode:
     side: str = ""
     recording: Recording | None = None
     quality: EpisodeQuality = TRUSTED
+
+
+class RecordedSignal(NamedTuple):
+    """Topic of a bag, or feature of a data set: its messages, and the numbers in each."""
+
+    name: str
+    kind: str
+    numbers: int  # 0: pictures, or none
+    count: int
+    rate_hz: float
 
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:

@@ -1,7 +1,8 @@
 """Child process that opens foreign files.
 
 Usage: ``python -m touchdown.backend.exchange.foreign_child KIND SRC DIR [MAPPING]``. Its standard
-input ends when the parent is killed. It then deletes DIR and exits.
+input ends when the parent is killed. It then deletes DIR and exits. KIND ``contents`` lists the
+signals of a recording.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 from touchdown.backend.core import InputError
 from touchdown.backend.exchange.features import ForeignEpisode, save_foreign
 
-READERS = {"lerobot": "lerobot_reader"}
+READERS = {"lerobot": ("lerobot_reader", "read"), "contents": ("mapping", "read_contents")}
 MEMORY_BYTES = 8_000_000_000
 
 
@@ -31,11 +32,11 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     watch = threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True)
     watch.start()
-    name = "mapping" if mapping else READERS[kind]
-    reader = import_module(f"touchdown.backend.exchange.{name}")
+    name, function = ("mapping", "read") if mapping else READERS[kind]
+    read = getattr(import_module(f"touchdown.backend.exchange.{name}"), function)
     given = (kind, Path(source), Path(mapping)) if mapping else (Path(source),)
     try:
-        episodes: Iterator[ForeignEpisode] = reader.read(*given)
+        episodes: Iterator[ForeignEpisode] = read(*given)
         for number, episode in enumerate(episodes):
             path = Path(folder) / f"{number:06d}.npz"
             save_foreign(episode, path)

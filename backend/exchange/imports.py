@@ -10,12 +10,14 @@ import json
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from threading import Event
 from typing import Any
 from uuid import UUID
 
@@ -50,7 +52,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.exchange import features
 from touchdown.backend.exchange.exports import PARTIAL
-from touchdown.backend.exchange.features import ForeignEpisode, load_foreign
+from touchdown.backend.exchange.features import ForeignEpisode, RecordedSignal, load_foreign
 from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from touchdown.backend.exchange.mapped_presses import (
@@ -65,16 +67,20 @@ from touchdown.backend.geometry import load_pieces
 
 DEADLINE_S = 60.0  # deadline per episode; the first one includes opening the file
 MAPPED_DEADLINE_S = 1800.0  # pictures of a whole recording are tracked
+CANCEL_S = 0.1  # a cancellation is seen after this time
+NEVER = Event()
 
 
 def read_foreign(
-    kind: str, source: Path, deadline_s: float = DEADLINE_S, mapping: Path | None = None
-) -> Iterator[ForeignEpisode]:
+    kind: str, source: Path, deadline_s: float = DEADLINE_S, mapping: Path | None = None,
+    cancelled: Event = NEVER,
+) -> Iterator[ForeignEpisode]:  # fmt: skip
     """Yield the episodes that the reader ``kind`` finds in ``source``, one at a time.
 
     With a ``mapping`` file their values are the signals of ``map_signals``.
 
-    Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline.
+    Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline, and
+    if it is ``cancelled``.
     """
     command = [sys.executable, "-m", "touchdown.backend.exchange.foreign_child", kind]
     with (
@@ -89,7 +95,12 @@ def read_foreign(
         assert child.stdout is not None
         try:
             while True:
-                line = listener.submit(child.stdout.readline).result(deadline_s)
+                said = listener.submit(child.stdout.readline)
+                until_s = time.monotonic() + deadline_s
+                while not wait([said], CANCEL_S).done and time.monotonic() < until_s:
+                    if cancelled.is_set():
+                        raise InputError("Cancelled.", str(source), "Nothing was imported.")
+                line = said.result(0.0)
                 answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
                 if "error" in answer:
                     raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
@@ -110,6 +121,14 @@ def read_foreign(
             last = f" ({printed[-1]})" if printed else ""
             what = f"The reader crashed on this file{last}."
             raise InputError(what, str(source), "It is damaged; use another copy.")
+
+
+def recording_contents(source: Path, cancelled: Event = NEVER) -> list[RecordedSignal]:
+    """Return the topics or features of a recording; raises ``InputError`` like ``read_foreign``."""
+    (table,) = read_foreign("contents", source, cancelled=cancelled)
+    rows = table.values["contents"].tolist()
+    return [RecordedSignal(*names, int(numbers), int(count), float(rate_hz))
+            for *names, numbers, count, rate_hz in rows]  # fmt: skip
 
 
 FRAME_SHAPE = (240, 320, 3)
@@ -224,7 +243,8 @@ OWN_BITS, NUMBER_AT = 24, 48
 class ImportOptions:
     """Information that a foreign file lacks: the pair, and the labeller (None: unknown).
 
-    ``mapping``: file that names its signals; the episodes are then the presses in it.
+    ``mapping``: file that names its signals; the episodes are then the presses in it. ``cancelled``
+    ends the reading of them.
     """
 
     actor: str
@@ -232,6 +252,7 @@ class ImportOptions:
     piece: str | None = None
     bottom: str | None = None
     mapping: Path | None = None
+    cancelled: Event = NEVER
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,10 +322,10 @@ class EpisodeImport:
     def _foreign(self) -> Iterable[ForeignEpisode]:
         if self._mapping is None:
             return read_foreign(self._kind, self._source)
-        file = self._options.mapping
+        file, cancel = self._options.mapping, self._options.cancelled
         self.presses = self.presses or [
             cut_press(episode, number, onset_s, self._mapping)
-            for episode in read_foreign(self._kind, self._source, MAPPED_DEADLINE_S, file)
+            for episode in read_foreign(self._kind, self._source, MAPPED_DEADLINE_S, file, cancel)
             for number, onset_s in enumerate(find_presses(episode.values))
         ]
         return self.presses

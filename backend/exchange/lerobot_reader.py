@@ -20,7 +20,7 @@ MAX_TICKS = 100_000
 
 def read(source: Path, wanted: Sequence[str] = ()) -> Iterator[ForeignEpisode]:
     """Yield the episodes by number, with the features ``wanted`` (default: those of an export)."""
-    info = _info(source)
+    info = read_info(source)
     fps, sides = float(info["fps"]), info.get("splits", {})
     films = _VideoReader(source, info, wanted or tuple(PICTURES.values()))
     for path in sorted((source / "data").rglob("*.parquet")):
@@ -29,7 +29,8 @@ def read(source: Path, wanted: Sequence[str] = ()) -> Iterator[ForeignEpisode]:
             yield ForeignEpisode(number, fps, {**rows, **pictures}, _side(sides, number))
 
 
-def _info(source: Path) -> dict[str, Any]:
+def read_info(source: Path) -> dict[str, Any]:
+    """Return the description of a data set; raises ``InputError`` for an unknown version."""
     path = source / "meta/info.json"
     if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
         raise InputError(

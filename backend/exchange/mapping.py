@@ -1,6 +1,6 @@
 """Mapping file of a foreign recording: its topics or features as signals of the bench.
 
-``read`` opens foreign files and is called in a child process only.
+``read`` and ``read_contents`` open foreign files and are called in a child process only.
 
 Source of the frames: ``touchdown.backend.core.values``. A tactile picture of the bench has the hand
 on top: a press moves the markers up, since the piece is pushed towards the hand.
@@ -8,8 +8,9 @@ on top: a press moves the markers up, since the piece is pushed towards the hand
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
@@ -30,8 +31,9 @@ from touchdown.backend.core import (
     require_package,
 )
 from touchdown.backend.episodes import decode_image
-from touchdown.backend.exchange.features import ForeignEpisode
+from touchdown.backend.exchange.features import ForeignEpisode, RecordedSignal
 from touchdown.backend.exchange.lerobot_reader import read as read_lerobot
+from touchdown.backend.exchange.lerobot_reader import read_info
 from touchdown.backend.sensing import HEIGHT_PX, WIDTH_PX, resize_picture, track_frames
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
@@ -210,11 +212,84 @@ def read(kind: str, source: Path, mapping: Path) -> Iterator[ForeignEpisode]:
             samples = {name: _rows(episode, signal.source) for name, signal in signals}
             yield replace(episode, values=map_signals(signals, samples))
         return
-    files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
-    if not files:
-        raise InputError("There is no MCAP file.", str(source), "Name a file or a bag of MCAP.")
-    messages = {name: read_messages(files, signal) for name, signal in signals}
+    messages = {name: read_messages(_bags(source), signal) for name, signal in signals}
     yield ForeignEpisode(0, 0.0, map_signals(signals, messages))
+
+
+def _bags(source: Path) -> list[Path]:
+    bags = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
+    if not bags:
+        raise InputError("There is no MCAP file.", str(source), "Name a file or a bag of MCAP.")
+    return bags
+
+
+def recording_format(source: Path) -> str:
+    """Return ``lerobot`` for the folder of a LeRobot data set, else ``mcap``."""
+    return "lerobot" if (source / "meta/info.json").is_file() else "mcap"
+
+
+def read_contents(source: Path) -> Iterator[ForeignEpisode]:
+    """Yield one array of texts by name: a row for each signal, with a column for each field."""
+    found = dict[str, RecordedSignal]()
+    if recording_format(source) == "lerobot":
+        info = read_info(source)
+        for name, one in info["features"].items():
+            numbers = 0 if one["dtype"] in FILMED else int(np.prod(one["shape"]))
+            size = info["total_frames"], info["fps"]
+            found[name] = RecordedSignal(name, one["dtype"], numbers, *size)
+    else:
+        for bag in _bags(source):
+            for topic in _topics(bag):
+                before = found[topic.name].count if topic.name in found else 0
+                found[topic.name] = topic._replace(count=topic.count + before)
+    yield ForeignEpisode(0, 0.0, {"contents": np.array(sorted(found.values()))})
+
+
+def _topics(bag: Path) -> Iterator[RecordedSignal]:
+    """Yield the topics of one file by its index and their first messages."""
+    decoders = [require_package("mcap_ros2.decoder").DecoderFactory()]
+    with bag.open("rb") as stream:
+        reader = require_package("mcap.reader").make_reader(stream, decoder_factories=decoders)
+        summary = reader.get_summary()
+        if summary is None or summary.statistics is None:
+            fix = "The recorder was interrupted: write the file again with 'mcap recover'."
+            raise InputError("The file has no index.", str(bag), fix)
+        whole = summary.statistics
+        span_s = max(1e-9 * (whole.message_end_time - whole.message_start_time), 1e-3)
+        for number, channel in summary.channels.items():
+            schema, topic = summary.schemas[channel.schema_id], channel.topic
+            count, numbers = whole.channel_message_counts.get(number, 0), 0
+            if count and not schema.name.endswith(FILMED):
+                first = next(reader.iter_decoded_messages(topics=[topic]))
+                numbers = len(list(_numbers(first.decoded_message)))
+            yield RecordedSignal(topic, schema.name, numbers, count, count / span_s)
+
+
+FILMED = ("Image", "image", "video")  # endings of types that hold pictures
+
+
+def propose_mapping(contents: Sequence[RecordedSignal]) -> str:
+    """Return a mapping file to correct, with units of ROS 2 and the sources that fit by name."""
+
+    def source(numbers: int, *words: str, filmed: bool = False) -> RecordedSignal | None:
+        """Return the signal with this size and the most of ``words`` in its name and type."""
+        fitting = {
+            one: sum(word in f"{one.name} {one.kind}".lower() for word in words)
+            for one in contents
+            if one.numbers >= numbers or (filmed and one.kind.endswith(FILMED))
+        }
+        return max((one for one in fitting if fitting[one]), key=fitting.__getitem__, default=None)
+
+    found = {
+        "wrench": source(6, "wrench", "force", "/ft", ".ft"),
+        "pose": source(3, "pose", "transform", "state"),
+    }
+    for finger in FINGERS:
+        found[finger] = source(2 * MARKERS, finger, f"gel_{finger}", f"tac_{finger}", filmed=True)
+    arrays = {f"{name}_kind": "positions" if one and one.numbers else "images"
+              for name, one in found.items()}  # fmt: skip
+    text = files("touchdown.resources").joinpath("mapping.toml.in").read_text("utf-8")
+    return text.format(**{name: one.name if one else "" for name, one in found.items()}, **arrays)
 
 
 def _rows(episode: ForeignEpisode, feature: str) -> Samples:

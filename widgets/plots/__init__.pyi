@@ -29,3 +29,4 @@ from .training import CurvePlot as CurvePlot
 from .training import ReliabilityPlot as ReliabilityPlot
 from .training import SampleScene as SampleScene
 from .training import SampleStrip as SampleStrip
+from .training import SignalPlot as SignalPlot

@@ -1,4 +1,4 @@
-"""Plots of a training."""
+"""Plots of a training, and of signals over time."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class CurveLine:
 class _TrainingPlot(PictureView):
     """Axes and lines; small enough to be drawn without a cache."""
 
-    unit, empty = "", "No epoch yet"
+    unit, empty, usual_px = "", "No epoch yet", (280, 170)
 
     def __init__(self, theme: Theme, name: str) -> None:
-        super().__init__(theme, name, (130, 96), (280, 170), opaque=False)
+        super().__init__(theme, name, (130, 96), self.usual_px, opaque=False)
         self.name = tr(name)
         self.setToolTip(self.name)
         self.lines: tuple[CurveLine, ...] = ()
@@ -105,6 +105,8 @@ class _TrainingPlot(PictureView):
 class CurvePlot(_TrainingPlot):
     """Values over epochs. The best epoch is marked; ``percent``: values up to 100."""
 
+    over_epochs = True
+
     def __init__(self, theme: Theme, name: str, *, percent: bool = False) -> None:
         super().__init__(theme, name)
         self._top, self._digits = (100.0, 1) if percent else (math.inf, 3)
@@ -132,8 +134,8 @@ class CurvePlot(_TrainingPlot):
         if not drawn:
             self._draw_empty(painter)
             return
-        self._draw_axes(painter, area, whole=True)
-        if self.best:
+        self._draw_axes(painter, area, whole=self.over_epochs)
+        if self.best or not self.over_epochs:
             painter.setPen(QPen(self._theme.tokens.colour("muted"), 1, Qt.PenStyle.DotLine))
             x = area.x(self.best)
             painter.drawLine(QPointF(x, area.rect.top()), QPointF(x, area.rect.bottom()))
@@ -150,6 +152,22 @@ class CurvePlot(_TrainingPlot):
 
     def _ending(self, line: CurveLine) -> str:
         return f"{line.name} {line.points[-1][1]:.{self._digits}f}".strip()
+
+
+class SignalPlot(CurvePlot):
+    """Signals over time; the instant 0 is marked."""
+
+    over_epochs, empty, usual_px = False, "No press yet", (200, 120)
+
+    def area(self) -> axes.PlotArea:
+        """Return the area of the curves, in seconds and values."""
+        points = np.array([p for one in self.lines for p in one.points]).reshape(-1, 2)
+        if not len(points):
+            return super().area()
+        (x0, y0), (x1, y1) = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+        gap = max(0.08 * (y1 - y0), 0.01)
+        room = self._beside(self._ending(one) for one in self.lines)
+        return self._area((x0, max(x1, x0 + 0.1)), (y0 - gap, y1 + gap), room)
 
 
 class ReliabilityPlot(_TrainingPlot):

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel
 
 from tests.app.collect.conftest import PROBES
-from tests.app.conftest import settle
+from tests.app.conftest import drop, settle
 from touchdown.app.collect.requests import collect_request
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
@@ -137,6 +138,87 @@ def test_each_half_has_its_own_key_and_its_keys_do_nothing_in_the_other(page):
         page.press(key)
     page.settle()
     assert {e.uuid: e.state for e in page.presenter.dataset.episodes()} == before
+
+
+FOREIGN = Path(__file__).parents[2] / "data/foreign"
+
+
+@pytest.fixture
+def sheet(page):
+    """The sheet of a recording of another laboratory, dropped on the page, with its signals."""
+    assert drop(page.view, FOREIGN / "press.mcap")
+    made = page.workspace.recordings
+    assert made.isVisible()
+    page._qtbot.waitUntil(made.preview.isEnabled, timeout=60_000)
+    return made
+
+
+def look(page, sheet):
+    """Press *Preview* and wait for its end."""
+    QTest.mouseClick(sheet.preview, Qt.MouseButton.LeftButton)
+    assert not sheet.preview.isEnabled()
+    page._qtbot.waitUntil(sheet.preview.isEnabled, timeout=120_000)
+
+
+def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet, qtbot):
+    assert [row[:3] for row in sheet.contents.texts()] == [
+        ["/ft_sensor", "WrenchStamped", "6"],
+        ["/gel_left/compressed", "CompressedImage", ""],
+        ["/gel_right/markers", "Float64MultiArray", "126"],
+        ["/tool_pose", "PoseStamped", "7"],
+    ]
+    look(page, sheet)
+    said = {name: found.text() for name, found in sheet.findings.items()}
+    assert said["wrench"] == "The moment has a lever of 15.6 m: 'moment_unit' of 'wrench'."
+    assert "add 180 to its 'turn_deg'" in said["left"]
+    assert said["right"] == "Nothing contradicts 'right'."
+    assert [line.name for line in sheet.plots["Force"].lines] == ["x", "y", "z"]
+    assert sheet.plots["Force"].lines[2].points[-1][1] == pytest.approx(7.8, abs=0.3)
+    assert not sheet.add.isEnabled()
+    sheet.anyway.setChecked(True)
+    assert sheet.add.isEnabled(), "the user may insist"
+    sheet.anyway.setChecked(False)
+    assert drop(sheet, FOREIGN / "map.toml")
+    qtbot.waitUntil(lambda: "payload_kg = 1.5" in sheet.mapping.toPlainText(), timeout=60_000)
+    look(page, sheet)
+    assert {found.text() for found in sheet.findings.values()} == {
+        f"Nothing contradicts '{name}'." for name in sheet.findings
+    }
+    assert "stored as pot on circle15" in sheet.note.text()
+    sheet.mapping.setPlainText(sheet.mapping.toPlainText() + "# checked")
+    assert not sheet.add.isEnabled(), "another mapping needs another preview"
+    look(page, sheet)
+    QTest.mouseClick(sheet.add, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: not sheet.isVisible(), timeout=60_000)
+    page.settle()
+    assert len(page.uuids) == PROBES + 1
+    (entry,) = [e for e in page.presenter.dataset.episodes() if e.mode == "imported"]
+    assert (entry.piece, entry.bottom, entry.person) == ("pot", "circle15", "Ann")
+    texts = [one.text() for one in page.main.window.findChildren(QLabel)]
+    assert "1 new episode from press.mcap." in texts
+
+
+def test_a_recording_that_cannot_be_read_is_refused_in_words(page, sheet, tmp_path, qtbot):
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes((FOREIGN / "press.mcap").read_bytes()[:5000])
+    sheet.take(broken)
+    qtbot.waitUntil(lambda: "damaged or foreign" in sheet.note.text(), timeout=60_000)
+    assert sheet.note.property("tone") == "bad"
+    sheet.mapping.setPlainText(sheet.mapping.toPlainText().replace('unit = "m"', 'unit = "inch"'))
+    look(page, sheet)
+    assert "pose.unit" in sheet.note.text()
+    page.workspace.recordings._target = lambda: (None, "", "pot", "circle15")
+    sheet.read()
+    assert sheet.note.text().startswith("Give your name in Collect")
+
+
+def test_a_preview_is_cancelled_and_leaves_the_window_free(page, sheet, qtbot):
+    QTest.mouseClick(sheet.preview, Qt.MouseButton.LeftButton)
+    assert sheet.cancel.isEnabled()
+    QTest.mouseClick(sheet.cancel, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(sheet.preview.isEnabled, timeout=60_000)
+    assert sheet.note.text() == "Cancelled. Nothing was imported."
+    assert not sheet.add.isEnabled()
 
 
 PAGES_TWICE_AS_FINE = """

@@ -2,10 +2,8 @@
 
 import pytest
 import trimesh
-from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PySide6.QtGui import QDragEnterEvent, QDropEvent
-from PySide6.QtWidgets import QApplication
 
+from tests.app.conftest import drop
 from touchdown.backend.geometry import load_pieces
 
 
@@ -19,20 +17,6 @@ def block(tmp_path):
 @pytest.fixture
 def stack(live):
     return live.workspaces["stack"]
-
-
-def drop(widget, *paths):
-    """Drop files on a widget as the window system does; return if they were accepted."""
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
-    left, none = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    enter = QDragEnterEvent(QPoint(5, 5), Qt.DropAction.CopyAction, data, left, none)
-    enter.ignore()
-    QApplication.sendEvent(widget, enter)
-    event = QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, data, left, none)
-    if enter.isAccepted():
-        QApplication.sendEvent(widget, event)
-    return enter.isAccepted()
 
 
 def test_a_dropped_mesh_becomes_a_piece_that_can_be_chosen(stack, block, qtbot):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import threading
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +21,15 @@ from touchdown.backend.cli.command_line import main
 from touchdown.backend.config import read_settings
 from touchdown.backend.core import InputError
 from touchdown.backend.exchange import mapping
-from touchdown.backend.exchange.features import ForeignEpisode
+from touchdown.backend.exchange.features import ForeignEpisode, RecordedSignal
+from touchdown.backend.exchange.imports import read_foreign, recording_contents
 from touchdown.backend.exchange.mapped_presses import (
     contradictions,
     cut_press,
     find_presses,
     measure_press,
 )
-from touchdown.backend.exchange.mapping import ImportMapping
+from touchdown.backend.exchange.mapping import ImportMapping, propose_mapping, recording_format
 
 FOREIGN = Path(__file__).parents[2] / "data/foreign"  # .ci/exchange_check/foreign_example.py
 MAP = FOREIGN / "map.toml"
@@ -172,6 +176,53 @@ def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
     assert "mapping file" in capsys.readouterr().err
 
 
+def test_a_mapping_is_proposed_from_the_signals_of_a_bag(tmp_path, capsys):
+    found = {one.name: one[1:] for one in recording_contents(FOREIGN / "press.mcap")}
+    assert {
+        name: (kind.rpartition("/")[2], *size[:2]) for name, (kind, *size) in found.items()
+    } == {
+        "/ft_sensor": ("WrenchStamped", 6, 594),
+        "/gel_left/compressed": ("CompressedImage", 0, 60),
+        "/gel_right/markers": ("Float64MultiArray", 126, 58),
+        "/tool_pose": ("PoseStamped", 7, 581),
+    }
+    assert found["/ft_sensor"][-1] == pytest.approx(250.4, abs=0.1)
+    path = tmp_path / "map.toml"
+    words = ["import", "mcap", str(FOREIGN / "press.mcap"), "--map", str(path)]
+    assert main([*words, "--dataset", str(tmp_path / "ds")]) == 1
+    assert f"A mapping to correct is in {path}" in capsys.readouterr().out
+    proposed, good = (read_settings(ImportMapping, file) for file in (path, MAP))
+    assert [one.source for _, one in proposed] == [one.source for _, one in good]
+    assert (proposed.left.kind, proposed.right.kind) == ("images", "positions")
+
+
+def test_what_no_signal_fits_stays_open_in_a_proposal():
+    scene = RecordedSignal("/scene/left", "sensor_msgs/msg/Image", 0, 9, 30.0)
+    joints = RecordedSignal("/joint_states", "sensor_msgs/msg/JointState", 2, 9, 100.0)
+    proposed = tomllib.loads(propose_mapping([scene, joints]))
+    sources = {name: one["source"] for name, one in proposed.items()}
+    assert sources == {"wrench": "", "pose": "", "left": "/scene/left", "right": ""}
+
+
+def test_a_bag_of_two_files_is_listed_as_one_and_a_damaged_one_is_refused(tmp_path):
+    for name in ("bag_0.mcap", "bag_1.mcap"):
+        shutil.copyfile(FOREIGN / "press.mcap", tmp_path / name)
+    assert recording_contents(tmp_path)[0][:4] == (
+        "/ft_sensor", "geometry_msgs/msg/WrenchStamped", 6, 2 * 594
+    )  # fmt: skip
+    whole = (FOREIGN / "press.mcap").read_bytes()
+    (tmp_path / "bag_1.mcap").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="damaged or foreign"):
+        recording_contents(tmp_path)
+
+
+def test_a_reading_that_is_cancelled_ends_its_process_at_once(tmp_path):
+    cancelled = threading.Event()
+    cancelled.set()
+    with pytest.raises(InputError, match="Cancelled"):
+        list(read_foreign("mcap", FOREIGN / "press.mcap", 60.0, MAP, cancelled))
+
+
 def test_a_lerobot_data_set_with_its_own_features_comes_in(tmp_path, bag):
     """25 rows a second; wrench and pose share a feature, the gels are in a video and an array."""
     values = next(mapping.read("mcap", FOREIGN / "press.mcap", MAP)).values
@@ -225,3 +276,12 @@ def test_a_lerobot_data_set_with_its_own_features_comes_in(tmp_path, bag):
     with np.load(FOREIGN / "truth.npz") as truth:
         markers = press.values["observation.markers"] - truth["observation"][:, :252]
     assert np.sqrt((markers**2).mean()) < 0.5
+    info |= {"total_frames": len(t_s)}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    assert recording_format(folder) == "lerobot"
+    assert recording_contents(folder) == [
+        ("observation.state", "float32", 9, len(t_s), 25.0),
+        ("tactile.left", "video", 0, len(t_s), 25.0),
+        ("tactile.right", "float32", 126, len(t_s), 25.0),
+    ]
+    assert 'source = "tactile.left"' in propose_mapping(recording_contents(folder))

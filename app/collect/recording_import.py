@@ -1,0 +1,233 @@
+"""Sheet that imports recordings of other laboratories, by a mapping of their signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QGridLayout,
+    QPlainTextEdit,
+    QProgressBar,
+    QPushButton,
+    QWidget,
+)
+
+from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
+from touchdown.backend import exchange
+from touchdown.backend.annotations import Dataset
+from touchdown.backend.core import InputError, data_folder, write_atomically
+from touchdown.widgets.base import Theme, count_noun, hbox, label, set_property, tr, vbox
+from touchdown.widgets.lists import FigureTable
+from touchdown.widgets.plots import CurveLine, SignalPlot
+
+COLUMNS = ("source", "type", "numbers", "messages", "per s")
+PLOTS = ("Force", "Moment", "Hand from contact", "Markers, left", "Markers, right")
+# Row, column and width of the findings of a signal, below its plots.
+SIGNALS = {"wrench": (1, 0, 2), "pose": (1, 2, 1), "left": (3, 0, 1), "right": (3, 1, 1)}
+COLOURS = {"x": "axis_x", "y": "axis_y", "z": "axis_z", "u": "axis_x", "v": "axis_y"}
+MOST_POINTS = 400  # of a curve
+NO_FILE = "Choose a recording (MCAP of ROS 2, or the folder of a LeRobot dataset), or drop one."
+NO_DATASET = "Give your name in Collect (Ctrl+U): this opens the dataset that takes the presses."
+HINT = "In contact Fz rises, z of the hand falls, and v of the markers falls, towards the hand."
+ImportTarget = tuple[Dataset | None, str, str, str]  # dataset, person, piece, bottom
+
+
+class RecordingSheet(BenchSheet):
+    """Recording, mapping, and preview of its first press; the presses go into the open dataset.
+
+    Files are read in a process of their own, which *Cancel* and closing the sheet end. ``imported``
+    gets the name of the recording and the ids of the new episodes. ``target`` returns the dataset
+    and the pair of the form.
+    """
+
+    imported = Signal(str, list)
+
+    def __init__(self, parent: QWidget, theme: Theme, target: Callable[[], ImportTarget]) -> None:
+        super().__init__(parent, "Import recordings")
+        self._target, self._source = target, Path()
+        self._worker, self._cancelled = SaveWorker(self, "recording-import"), Event()
+        self._busy = self._writing = False
+        self._found: tuple[exchange.EpisodeImport, exchange.ImportSurvey] | None = None
+        self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
+        self.choose_folder = QPushButton(tr("Choose a folder\N{HORIZONTAL ELLIPSIS}"))
+        self.preview, self.cancel = QPushButton(tr("Preview")), QPushButton(tr("Cancel"))
+        self.add = QPushButton(tr("Import"))
+        self.file, self.note = label(NO_FILE, wrap=True), label("", wrap=True)
+        self.contents = FigureTable(theme, "Signals of the recording", COLUMNS)
+        self.contents.empty = "No recording yet"
+        self.mapping = QPlainTextEdit(lineWrapMode=QPlainTextEdit.LineWrapMode.NoWrap)
+        self.mapping.setAccessibleName(tr("Mapping"))
+        self.plots = {title: SignalPlot(theme, title) for title in PLOTS}
+        self.findings = {name: label("", "small", wrap=True) for name in SIGNALS}
+        self.progress = QProgressBar()
+        self.anyway = QCheckBox(tr("Import in spite of contradictions"))
+        names = "MCAP, TOML (*.mcap *.toml)"
+        self.choose.clicked.connect(lambda: ask_path(self, "Recording", self.take, names=names))
+        self.choose_folder.clicked.connect(lambda: ask_path(self, "Recording", self.take))
+        self.mapping.textChanged.connect(self._forget)
+        self.preview.clicked.connect(self.read)
+        self.cancel.clicked.connect(lambda: self._cancelled.set())
+        self.finished.connect(lambda _: self._cancelled.set())
+        self.anyway.toggled.connect(self._show_buttons)
+        self.add.clicked.connect(self.write)
+        FileDrop(self, (".mcap", ".toml", ""), self.take)
+        self._arrange()
+
+    def take(self, path: Path) -> None:
+        """List the signals of a recording and propose a mapping, or read a mapping file."""
+        self.present()
+        if self._busy:
+            return
+        if path.suffix == ".toml":
+            self._run("Reading", lambda _: path.read_text("utf-8"), self.mapping.setPlainText)
+        else:
+            self._source = path
+            self.file.setText(path.name)
+            self._forget()
+            self._run("Reading", partial(exchange.recording_contents, path), self._list)
+
+    def read(self) -> None:
+        """Read the recording by the mapping; show its first press and what contradicts it."""
+        dataset, person, piece, bottom = self._target()
+        if dataset is None or not dataset.writable:
+            self._say(NO_DATASET, bad=True)
+            return
+        source, text = self._source, self.mapping.toPlainText()
+        kept = data_folder() / "mappings" / f"{source.stem}.toml"
+
+        def read(cancelled: Event) -> tuple[exchange.EpisodeImport, exchange.ImportSurvey]:
+            write_atomically(kept, text.encode("utf-8"))
+            options = exchange.ImportOptions(person, None, piece, bottom, kept, cancelled)
+            form = exchange.recording_format(source)
+            wanted = exchange.EpisodeImport(dataset, form, source, options)
+            return wanted, wanted.survey()
+
+        stored = tr("The presses are stored as {} on {}.", piece, bottom)
+        self._run("Reading; pictures are tracked", read, partial(self._show, stored))
+
+    def write(self) -> None:
+        """Add the presses to the dataset."""
+        if self._found is not None:
+            wanted, survey = self._found
+            advance, put = self.progress.setValue, self._worker.put
+            self._writing = True
+            self._run(
+                "Writing",
+                lambda _: wanted.write(lambda done: put(partial(advance, done))),
+                self._written,
+            )
+            self.progress.setRange(0, survey.fit)
+
+    def close_worker(self) -> None:
+        """End reading and thread."""
+        self._cancelled.set()
+        self._worker.close()
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        left = vbox(
+            hbox(self.choose, self.choose_folder, 1), self.file, (self.contents, 2),
+            label("Mapping", "title"), (self.mapping, 5),
+        )  # fmt: skip
+        grid = QGridLayout()
+        for at, plot in enumerate(self.plots.values()):
+            grid.addWidget(plot, at // 3 * 2, at % 3)
+            grid.setRowStretch(at // 3 * 2, 1)
+            grid.setColumnStretch(at % 3, 1)
+        for name, (row, column, span) in SIGNALS.items():
+            grid.addWidget(self.findings[name], row, column, 1, span)
+        grid.addWidget(label(HINT, "small", wrap=True), 2, 2)
+        right = vbox((grid, 1), self.anyway, self.note, self.progress)
+        foot = self.preview, self.cancel, self.add
+        self.arrange(hbox((left, 3), (right, 5), spacing=14), foot=foot, spacing=10)
+        self.resize_to_em(76, 46)
+        self._show_buttons()
+
+    def _run(self, words: str, work: Callable[[Event], Any], done: Callable[[Any], None]) -> None:
+        """Run ``work`` on the thread, one at a time."""
+        self._busy, self._cancelled = True, Event()
+
+        def end(show: Callable[[Any], None], result: Any) -> None:
+            self._busy = self._writing = False
+            self._say("")
+            show(result)
+            self._show_buttons()
+
+        self._say(f"{tr(words)} \N{HORIZONTAL ELLIPSIS}")
+        self.progress.setRange(0, 0)
+        job = partial(work, self._cancelled)
+        self._worker.submit(job, partial(end, done), partial(end, self._failed))
+        self._show_buttons()
+
+    def _list(self, contents: list[exchange.RecordedSignal]) -> None:
+        self.contents.show_rows([
+            (one.name, one.kind.rpartition("/")[2], f"{one.numbers or ''}", f"{one.count:,}",
+             f"{one.rate_hz:.1f}")
+            for one in contents
+        ])  # fmt: skip
+        self.mapping.setPlainText(exchange.propose_mapping(contents))
+        self._say("Correct the mapping, or drop one, then look at the preview.")
+
+    def _show(
+        self, stored: str, found: tuple[exchange.EpisodeImport, exchange.ImportSurvey]
+    ) -> None:
+        self._found, (wanted, survey) = found, found
+        press = wanted.presses[0].recording if wanted.presses else None
+        curves = exchange.press_curves(press) if press else ()
+        for title, plot in self.plots.items():
+            lines = list[CurveLine]()
+            for one in curves:
+                if one.title == title:
+                    plot.name = f"{tr(title)} ({one.unit})"
+                    thin = slice(None, None, 1 + len(one.t_s) // MOST_POINTS)
+                    for axis, row in zip(one.axes, one.rows[thin].T.tolist(), strict=True):
+                        points = tuple(zip(one.t_s[thin].tolist(), row, strict=True))
+                        lines.append(CurveLine(axis, points, COLOURS[axis]))
+            plot.show_lines(lines, 0)
+        for name, said in self.findings.items():
+            against = [one for one in survey.contradictions if f"'{name}'" in one]
+            said.setText(" ".join(against) or tr("Nothing contradicts '{}'.", name))
+            set_property(said, "tone", "bad" if against else "good")
+        numbers = count_noun(survey.found, "episode"), survey.here, survey.fit
+        words = [tr("{} found, {} present already, {} can be imported.", *numbers)]
+        words += [tr("{} cannot be mapped: {}.", count, why) for why, count in survey.problems]
+        self._say(" ".join([*words, stored, *survey.losses]))
+
+    def _written(self, uuids: list[str]) -> None:
+        self._found = None
+        self.imported.emit(self._source.name, uuids)
+        self.close()
+
+    def _failed(self, error: Exception) -> None:
+        words = f"{error.what} {error.fix}" if isinstance(error, InputError) else str(error)
+        self._say(words, bad=True)
+
+    def _forget(self) -> None:
+        """Require a new preview."""
+        self._found = None
+        self._show_buttons()
+
+    def _say(self, words: str, *, bad: bool = False) -> None:
+        self.note.setText(tr(words))
+        set_property(self.note, "tone", "bad" if bad else "")
+
+    def _show_buttons(self) -> None:
+        contradicted = self._found is not None and bool(self._found[1].contradictions)
+        can_add = self._found is not None and self._found[1].fit > 0 and not self._busy
+        can_add = can_add and (not contradicted or self.anyway.isChecked())
+        self.anyway.setVisible(contradicted)
+        self.progress.setVisible(self._busy)
+        self.cancel.setEnabled(self._busy and not self._writing)
+        self.preview.setEnabled(not self._busy and self._source.name != "")
+        for button in (self.choose, self.choose_folder, self.mapping):
+            button.setEnabled(not self._busy)
+        self.add.setEnabled(can_add)
+        set_property(self.add, "role", "primary" if can_add else "")
+        set_property(self.preview, "role", "" if can_add else "primary")

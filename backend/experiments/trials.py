@@ -63,11 +63,7 @@ from touchdown.backend.simulation import (
     true_com_xy_mm,
     true_margin_mm,
 )
-from touchdown.backend.simulation.second_world import (
-    FiniteGelTrials,
-    SecondWorldTrials,
-    StickingGelTrials,
-)
+from touchdown.backend.simulation.second_world import FiniteGelTrials, SecondWorldTrials
 
 _DISPLACEMENT = 78
 FRESH = "fresh"  # stands for one test outline per trial
@@ -77,7 +73,6 @@ WORLDS: dict[str, type[BatchedTrials]] = {
     "bench": BatchedTrials,
     "elsewhere": SecondWorldTrials,
     "elsewhere-finite-elements": FiniteGelTrials,
-    "elsewhere-sticking-elements": StickingGelTrials,
 }
 
 
@@ -280,7 +275,6 @@ class _RunningTrial:
     toppled: bool = False
 
     def note(self, truth: PressTruth, k: int) -> None:
-        """Note the truth of press ``k``, for the outcome."""
         self.true_mm = pair_of(truth.offset_mm[k])
         self.unsolved += not truth.solved[k]
         self.toppled |= bool(truth.toppled[k])

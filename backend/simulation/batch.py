@@ -413,8 +413,6 @@ def usable_presses(
 def _join_rows(
     parts: list[tuple[EpisodeBatch, GraspHistory, int]],
 ) -> tuple[EpisodeBatch, GraspHistory]:
-    """Pick row k of each part, in order."""
-
     def pick(name: str) -> NDArray[np.generic]:
         return np.stack([getattr(batch, name)[k] for batch, _, k in parts])
 

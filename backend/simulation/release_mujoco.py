@@ -274,7 +274,6 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
 
 
 def _spheres_xml(points_mm: list[Point], height_mm: float) -> str:
-    """Return spheres with their centres at ``points_mm`` and one height."""
     return "".join(
         f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>' for x, y in points_mm
     )

@@ -182,7 +182,6 @@ def _edge_distance_mm(core_mm: FloatArray, grown_mm: float, points_mm: FloatArra
 
 
 def _pad_areas(areas: Sequence[SupportArea]) -> list[SupportArea]:
-    """Return the areas padded to equal numbers of corners."""
     most = max(area.core_mm.shape[-2] for area in areas)
     crossings = max(area.corner_mm.shape[-2] for area in areas)
     padded = []

@@ -19,9 +19,8 @@ def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``elsewhere``."""
     asked = parser.add_argument_group("elsewhere")
     asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
-    asked.add_argument("--gel", choices=("half-space", "finite-elements", "sticking-elements"),
-                       default="half-space", help="of the second world; sticking: finite elements "
-                       "that never slip under the piece")  # fmt: skip
+    asked.add_argument("--gel", choices=("half-space", "finite-elements"), default="half-space",
+                       help="of the second world")  # fmt: skip
     asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
                        "group and trial in each cell; tune on others than reported")  # fmt: skip
 

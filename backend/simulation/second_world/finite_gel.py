@@ -244,7 +244,6 @@ class DiscContact:
 
 
 STEP_S = 0.05  # between two solutions of the gel; the markers are interpolated
-STICKING_MU = 100.0
 LEAST_NORMAL_N = 0.1  # a pad that lifts off keeps this force
 TO_IMAGE = np.array([[[1.0, -1.0]], [[-1.0, -1.0]]])  # of x and z, by finger
 
@@ -276,7 +275,6 @@ class FiniteGelTrials(SecondWorldTrials):
     """
 
     saturates = False
-    sticks = False  # nodes never slip
 
     def __init__(self, scenes: Sequence[Scene], probe: ProbeSettings | None = None) -> None:
         super().__init__(scenes, probe)
@@ -291,8 +289,7 @@ class FiniteGelTrials(SecondWorldTrials):
         fields, air, settled = [record.values[:, :6]], [record.air[:6]], record.settled
         for finger, gel in enumerate(self._gels):
             modulus = float(conditions.shear_n_mm[0]) / float(gel.stiffness_n_mm[::3, ::3].sum())
-            mu = STICKING_MU if self.sticks else float(conditions.mu_grip[0])
-            contact = DiscContact(gel, modulus, mu)
+            contact = DiscContact(gel, modulus, float(conditions.mu_grip[0]))
             strain = record.values[:, 6 + 3 * finger : 9 + 3 * finger]
             normal = np.maximum(record.values[:, 12 + finger], LEAST_NORMAL_N)
             air.append(contact.follow(np.zeros(3), float(conditions.grip_force_n[0])))
@@ -300,9 +297,3 @@ class FiniteGelTrials(SecondWorldTrials):
             fields.append(make_interp_spline(record.t_s[steps], found, k=1)(record.t_s))
             settled &= contact.solved
         return replace(record, values=np.hstack(fields), air=np.concatenate(air), settled=settled)
-
-
-class StickingGelTrials(FiniteGelTrials):
-    """The same gel with nodes that stick: only the pads of ``CreepingPads`` slip."""
-
-    sticks = True

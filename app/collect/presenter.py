@@ -427,7 +427,6 @@ class CollectPresenter:
             self.origin.show_note(OriginCheckNote(*found, f"{datetime.now():%Y-%m-%d %H:%M}"))
 
     def _show_pair(self, piece: str, bottom: str) -> None:
-        """Show the pair of the campaign that started."""
         target = self._page.target
         target.show_form(replace(target.form(), piece=piece, bottom=bottom))
 

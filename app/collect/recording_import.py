@@ -180,17 +180,14 @@ class RecordingSheet(BenchSheet):
     ) -> None:
         self._found, (wanted, survey) = found, found
         press = wanted.presses[0].recording if wanted.presses else None
-        curves = exchange.press_curves(press) if press else ()
-        for title, plot in self.plots.items():
-            lines = list[CurveLine]()
-            for one in curves:
-                if one.title == title:
-                    plot.name = f"{tr(title)} ({one.unit})"
-                    thin = slice(None, None, 1 + len(one.t_s) // MOST_POINTS)
-                    for axis, row in zip(one.axes, one.rows[thin].T.tolist(), strict=True):
-                        points = tuple(zip(one.t_s[thin].tolist(), row, strict=True))
-                        lines.append(CurveLine(axis, points, COLOURS[axis]))
-            plot.show_lines(lines, 0)
+        for plot in self.plots.values():
+            plot.show_lines((), 0)
+        for title, unit, axes, t_s, rows in exchange.press_curves(press) if press else ():
+            thin, plot = slice(None, None, 1 + len(t_s) // MOST_POINTS), self.plots[title]
+            points = [tuple(zip(t_s[thin].tolist(), row, strict=True)) for row in rows[thin].T]
+            plot.name = f"{tr(title)} ({unit})"
+            plot.show_lines([CurveLine(axis, own, COLOURS[axis])
+                             for axis, own in zip(axes, points, strict=True)], 0)  # fmt: skip
         for name, said in self.findings.items():
             against = [one for one in survey.contradictions if f"'{name}'" in one]
             said.setText(" ".join(against) or tr("Nothing contradicts '{}'.", name))
@@ -210,7 +207,6 @@ class RecordingSheet(BenchSheet):
         self._say(words, bad=True)
 
     def _forget(self) -> None:
-        """Require a new preview."""
         self._found = None
         self._show_buttons()
 

@@ -271,7 +271,6 @@ class CollectWorkspace(shell.Workspace):
         return presenter.dataset, presenter.person, form.piece, form.bottom
 
     def _imported(self, name: str, uuids: list[str]) -> None:
-        """Show the imported probes, and offer to label them."""
         for uuid in uuids:
             self.presenter.probes.read(uuid, lambda _: None)
         self._offer_next(tr("{} from {}.", count_noun(len(uuids), "new episode"), name), 0)

@@ -136,10 +136,7 @@ class BookmarkDialog(NameDialog):
 
 
 class FileDrop(QObject):
-    """Accepts one dropped file with one of ``suffixes`` on a widget; ``take`` gets its path.
-
-    The suffix "" stands for folders.
-    """
+    """Accepts one dropped file with one of ``suffixes`` ("": a folder); ``take`` gets its path."""
 
     def __init__(
         self, widget: QWidget, suffixes: Collection[str], take: Callable[[Path], None]

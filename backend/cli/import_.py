@@ -123,9 +123,9 @@ def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> s
     """Return an HTML page of the signals of one press, and what contradicts the mapping."""
     assert press is not None
     pictures = []
-    for one in press_curves(press):
-        curves = dict(zip(one.axes, one.rows.T, strict=True))
-        svg = experiments.curves_chart(one.title, one.t_s, curves, ("s", one.unit))
+    for title, unit, axes, t_s, rows in press_curves(press):
+        curves = dict(zip(axes, rows.T, strict=True))
+        svg = experiments.curves_chart(title, t_s, curves, ("s", unit))
         pictures.append(experiments.ReportPicture(svg))
     about = (
         f"Time 0 is the contact. Fz in still air is {press.tare[2]:+.1f} N.",

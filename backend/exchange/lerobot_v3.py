@@ -139,7 +139,6 @@ class _ParquetWriter:
         self._file, self._frames = -1, 0
 
     def close(self) -> None:
-        """Finish the file."""
         if self._writer is not None:
             self._writer.close()
 

@@ -8,7 +8,7 @@ moves the markers up, towards the hand.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -109,15 +109,8 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
     return ForeignEpisode(index, features.FPS, observed, episode.side, recording, found.quality)
 
 
-@dataclass(frozen=True, slots=True)
-class PressCurves:
-    """Curves of one signal of a press: ``t_s`` (n,) from the contact, ``rows`` (n, axes)."""
-
-    title: str
-    unit: str
-    axes: str
-    t_s: FloatArray
-    rows: FloatArray
+# Title, unit and axes of one signal of a press, times (n,) from the contact, values (n, axes).
+PressCurves = tuple[str, str, str, FloatArray, FloatArray]
 
 
 def press_curves(press: Recording) -> tuple[PressCurves, ...]:
@@ -125,16 +118,16 @@ def press_curves(press: Recording) -> tuple[PressCurves, ...]:
     hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
     wrench_t_s = press.wrench_t_s - CONTACT_S
     found = [
-        PressCurves("Force", "N", "xyz", wrench_t_s, press.wrench[:, :3]),
-        PressCurves("Moment", "N m", "xyz", wrench_t_s, press.wrench[:, 3:]),
-        PressCurves("Hand from contact", "mm", "xyz", press.pose_t_s - CONTACT_S, hand_mm),
+        ("Force", "N", "xyz", wrench_t_s, press.wrench[:, :3]),
+        ("Moment", "N m", "xyz", wrench_t_s, press.wrench[:, 3:]),
+        ("Hand from contact", "mm", "xyz", press.pose_t_s - CONTACT_S, hand_mm),
     ]
     for finger in FINGERS:
         own = [field for field in press.fields if field.finger == finger]
         mean = np.array([field.displacement_px.mean(axis=0) for field in own]).reshape(-1, 2)
         t_s = np.array([field.t_s for field in own]) - CONTACT_S
-        found.append(PressCurves(f"Markers, {finger}", "px", "uv", t_s, mean))
-    return tuple(one for one in found if np.isfinite(one.rows).any())
+        found.append((f"Markers, {finger}", "px", "uv", t_s, mean))
+    return tuple(one for one in found if np.isfinite(one[-1]).any())
 
 
 def _pose_mm(recording: Recording, at_s: float) -> FloatArray:

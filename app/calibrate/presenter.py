@@ -99,7 +99,6 @@ class CalibratePresenter:
         self.sheet.present()
 
     def _usual(self) -> CalibrateRequest:
-        """Return the request that the form starts with."""
         usual, on_bench = CalibrateRequest("board"), self._bench.usual
         if self._bench.simulated:
             return usual

@@ -312,7 +312,6 @@ class LabelPage(QWidget):
         self.words.setFocus()
 
     def _show_line(self, line: KeyboardLineEdit, caption: str) -> None:
-        """Show one entry line with its caption."""
         for other in (self.entry, self.words):
             other.setVisible(other is line)
         self.caption.setText(base.tr(caption))

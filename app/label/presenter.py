@@ -323,7 +323,6 @@ class LabelPresenter:
     # -- what is shown of the label ---------------------------------------------------------------
 
     def _show_label(self) -> None:
-        """Show head, history and row of the present episode."""
         now = self.present
         if now is None:
             return

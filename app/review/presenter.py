@@ -126,7 +126,6 @@ class ReviewPresenter:
         self._reading, self._said = None, ""
 
     def _forget(self) -> None:
-        """Clear the page for another recording."""
         self.story, self._run, self.timed = RunStory(), None, []
         self._episodes, self._told, self.caption = [], [], ""
         self._page.score.show_facts("", "")
@@ -146,7 +145,6 @@ class ReviewPresenter:
         self._fill(lines, len(lines) - 1)
 
     def _open_collection(self, collection: CollectedRun) -> None:
-        """Show a collecting run; its probes are episodes of the dataset."""
         self.timed, self._told = [], collection.told
         self._episodes = [probe.uuid for probe in collection.probes]
         self._whole = tr("Run {}, seed {}", collection.head.run_id, collection.head.seed)

@@ -99,7 +99,6 @@ def activity_text(head: RunStarted) -> list[str]:
 
 
 def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
-    """Return the single outcome, or the count of each."""
     if len(outcomes) == 1:
         return [tr(OUTCOME_WORDS[outcomes[0]])]
     counts = Counter(outcomes).most_common()

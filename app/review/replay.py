@@ -222,7 +222,6 @@ class ReplayPresenter:
         page.strip.mark(index)
 
     def _show_single(self, trial: TrialTimeline) -> None:
-        """Show the result of a single probe."""
         patch = trial.patch(self.cursor_s)
         assert patch is not None
         share = float(np.mean(patch.patch.probability > TOUCHING))
@@ -231,7 +230,6 @@ class ReplayPresenter:
         self._page.decision.show_text(DecisionText("Single probe", "", "", said))
 
     def _show_no_probe(self, story: shell.TrialStory | None) -> None:
-        """Show why there is no map at the cursor."""
         page, whole = self._page, self._whole
         if whole is None:
             scene, text = BeliefScene(empty=("", "")), NO_RECORDING

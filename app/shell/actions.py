@@ -213,7 +213,6 @@ class _BoundCommand:
         window.addAction(self.action)
 
     def take(self, row: KeyBinding) -> None:
-        """Set another key."""
         self.row = row
         self.action.setShortcut(QKeySequence(row.key))
         tip = f"{row.text} ({row.key})" if row.key else row.text

@@ -74,7 +74,6 @@ class BenchViewPresenter:
             self._stands, self._fall, self._fall_s = event.stands, event.fall, self._now_s()
 
     def _set(self, piece: str, bottoms: Sequence[str]) -> None:
-        """Show another piece above other bottoms."""
         known = self._bench.catalogue.pieces
         self._piece, self._let_go = known.get(piece), None
         self._stand_on([known[name] for name in bottoms if name in known])

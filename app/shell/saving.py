@@ -180,7 +180,6 @@ class SaveQueue:
             self._draining = False
 
     def _resume(self, coroutine: Coroutine[Any, Any, None], result: object) -> None:
-        """Run a coroutine up to its next save."""
         try:
             step = coroutine.send(result)
         except StopIteration:

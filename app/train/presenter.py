@@ -373,7 +373,6 @@ class TrainPresenter:
         self._show_samples()
 
     def _epochs(self, run: TrainingRun) -> int:
-        """Return the end of the epoch axis."""
         done = len(run.curves.get("iou", ()))
         planned = run.about.params.get("epochs", 0) if run.uuid == self.live else 0
         return max(done, int(planned)) if self.thread is not None else done

@@ -303,7 +303,6 @@ def _checks(parts: DatasetParts, whole: bool) -> Iterator[Iterator[ConsistencyPr
 
 
 def _damaged_geometry(parts: DatasetParts) -> Iterator[ConsistencyProblem]:
-    """Yield the geometry records of labels that are missing or damaged."""
     store = GeometryStore(parts.geometry.folder)  # without the cache of earlier reads
     for (pair,) in parts.database.rows("SELECT DISTINCT geometry FROM label_rev"):
         try:

@@ -130,8 +130,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 class _CalibrationProgress(connection.RunProgress):
-    """Events of a calibration so far."""
-
     measured: CalibrationMeasured | None = None
 
     def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
@@ -139,7 +137,6 @@ class _CalibrationProgress(connection.RunProgress):
         self._session = session
 
     def take(self, fact: Event) -> None:
-        """Handle one event."""
         super().take(fact)
         if isinstance(fact, Progress):
             self.move(fact.done, fact.total, fact.text)

@@ -117,7 +117,6 @@ class _CollectionProgress(connection.RunProgress):
         self._confirm, self._engine = session.answer, session.engine
 
     def take(self, fact: core.Event) -> None:
-        """Handle one event."""
         super().take(fact)
         if isinstance(fact, core.CampaignBegan | core.ProbeCollected):
             self.move(fact.done, fact.total, f"of {fact.total}")

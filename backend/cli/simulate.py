@@ -107,7 +107,6 @@ def _start(text: str | None) -> datetime:
 
 
 def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
-    """Return the jobs of all pairs."""
     folder = Path(args.pieces) if args.pieces else None
     catalogue = load_pieces(folder)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)

@@ -190,7 +190,6 @@ class SimulationSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, given: Any) -> Any:
-        """Merge the given keys into those of the preset."""
         if not isinstance(given, dict):
             return given
         preset = PRESETS.get(str(given.get("preset", "mixed")))

@@ -68,26 +68,21 @@ class _Guarded:
 
     @property
     def name(self) -> str:
-        """Name of the device."""
         return self._device.name
 
     @property
     def state(self) -> DeviceState:
-        """State of the connection."""
         return self._device.state
 
     @property
     def identity(self) -> Identity | None:
-        """Identity of the device."""
         return self._device.identity
 
     @property
     def health(self) -> Health:
-        """Health of the device."""
         return self._device.health
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
-        """Connect the device."""
         self._device.connect(timeout_s, cancel)
 
     def close(self) -> None:
@@ -95,7 +90,6 @@ class _Guarded:
         self._device.close()
 
     def describe(self) -> Mapping[str, str | float]:
-        """Raw fields of the device."""
         return self._device.describe()
 
 

@@ -109,7 +109,6 @@ class DeviceServer(ABC):
         return not self._stop.is_set()
 
     def _log_received(self, data: bytes) -> float:
-        """Count and log received bytes; return the time."""
         now_s = self._clock.now_s()
         self.received += len(data)
         self.log.append(Exchange(now_s, True, data))

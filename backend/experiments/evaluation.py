@@ -85,7 +85,6 @@ class DomainShift:
         return [spec for specs in turns for spec in specs if spec]
 
     def _cells(self) -> dict[Cell, list[JobSpec]]:
-        """Return the jobs of every cell."""
         return {
             (world, bottom, strategy): list(self._jobs(world, bottom, strategy))
             for world in (BENCH, self.there)

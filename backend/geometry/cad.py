@@ -244,7 +244,6 @@ def _measure_mesh(mesh: trimesh.Trimesh, path: Path, wanted: PieceImport) -> Mea
 
 
 def _measure_drawing(path: Path, content: bytes, wanted: PieceImport) -> MeasuredPiece:
-    """Return the prism over the outline of a drawing."""
     if wanted.height_mm is None:
         raise InputError(
             "A drawing holds no height.", str(path), "Give --height in mm, or use a mesh."
@@ -521,7 +520,6 @@ def piece_toml(piece: MeasuredPiece, title: str) -> str:
 
 
 def _face_table(face: shapely.MultiPolygon) -> str:
-    """Return the inline table of a face."""
     circle, corners = _circle(face), _convex(face)
     if circle and math.hypot(*circle[:2]) <= CIRCLE_MM:
         return f'{{ shape = "circle", diameter_mm = {2 * circle[2]:.4f} }}'

@@ -321,7 +321,6 @@ def _perturbed(polygon_mm: FloatArray) -> FloatArray:
 
 
 def _clip_edges(edges_of: FloatArray, within: FloatArray) -> EdgeSegments:
-    """Clip each edge of one polygon to the other."""
     start, normal = edge_normals(within)
     reach = (start * normal).sum(axis=-1)
     round_trip = np.concatenate([edges_of, edges_of[..., :1, :]], axis=-2)

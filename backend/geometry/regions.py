@@ -153,7 +153,6 @@ def _narrow(shape: Any) -> Point | None:
 
 
 def _ring_count(shape: Any) -> tuple[int, int]:
-    """Return the numbers of parts and of holes."""
     import shapely
 
     parts = shapely.get_parts(shape)

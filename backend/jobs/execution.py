@@ -250,7 +250,6 @@ class ProcessPool:
             return self._pool.submit(run_in_worker, run_job, spec, self._kinds, self._store)
 
     def _report_stalled(self) -> None:
-        """Report newly stalled workers."""
         under_way = {spec.id: spec.kind for spec in self._running.values()}
         still, news = self._workers.look(under_way)
         for number in news:

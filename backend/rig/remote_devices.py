@@ -72,7 +72,6 @@ class _Remote:
 
     @property
     def steps(self) -> ConnectionSteps:
-        """Progress of the connection."""
         steps = ConnectionSteps()
         steps.done = self._row.get("steps", 0)
         return steps

@@ -50,14 +50,12 @@ class _NumberedList(base.RowList):
         self._rows = _RowModel(self)
 
     def show_row(self, number: int, row: Any) -> None:
-        """Update one row."""
         if self._rows.rows[number] != row:
             # ``dataChanged`` would lay out all rows again.
             self._rows.rows[number] = row
             self.update(self.index_of(number))
 
     def rows(self) -> Sequence[Any]:
-        """Return all rows by number."""
         return self._rows.rows
 
     def index_of(self, number: int) -> QModelIndex:

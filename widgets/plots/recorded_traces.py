@@ -82,7 +82,6 @@ class _RecordedPlot(PictureView):
         self.update()
 
     def show_cursor(self, t_s: float) -> None:
-        """Move the cursor."""
         self.cursor_s = t_s
         self.update()
 
@@ -98,15 +97,12 @@ class _RecordedPlot(PictureView):
         self.draw_cursor(painter, trace)
 
     def can_show(self, trace: WrenchTrace) -> bool:
-        """Return True if the trace has two samples to connect."""
         return len(trace.t_s) >= 2
 
     def draw_curves(self, painter: QPainter, trace: WrenchTrace) -> None:
-        """Draw axes and curves."""
         raise NotImplementedError
 
     def draw_cursor(self, painter: QPainter, trace: WrenchTrace) -> None:
-        """Draw what depends on the cursor."""
         raise NotImplementedError
 
 

@@ -209,11 +209,9 @@ class _CardScroll(QScrollArea):
         self.setSizePolicy(policy)
 
     def heightForWidth(self, width: int, /) -> int:
-        """Return the height of the cards."""
         return self._cards.heightForWidth(width)
 
     def sizeHint(self) -> QSize:
-        """Return the size of the cards."""
         return self._cards.sizeHint()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:

@@ -231,7 +231,6 @@ class TopBar(QFrame):
         self.updateGeometry()
 
     def _stop_px(self, text: str) -> int:
-        """Return the width of STOP with another text."""
         advance = self.stop.fontMetrics().horizontalAdvance
         return self.stop.sizeHint().width() + advance(text) - advance(self.stop.text())
 
@@ -242,7 +241,6 @@ class TopBar(QFrame):
         return fixed + (self._devices_px(chips) if chips else 0) + 5 * GAP + 2 * MARGIN
 
     def _devices_px(self, chips: tuple[DeviceChip, ...]) -> int:
-        """Return the width of chips, override and servo."""
         override = max(self._override_title.sizeHint().width(), self.override.width())
         servo = max(self._servo_title.sizeHint().width(), self.servo.sizeHint().width())
         return override + servo + 2 * GAP + sum(c.sizeHint().width() + CHIP_GAP for c in chips)

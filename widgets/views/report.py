@@ -84,7 +84,6 @@ class FlowWidget(QWidget):
         return super().event(event)
 
     def _stand(self, width: int) -> int:
-        """Lay out the cards; return the total height."""
         x = y = line = 0
         for card in self.cards:
             size = card.sizeHint()

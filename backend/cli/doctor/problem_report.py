@@ -86,7 +86,6 @@ def write_report(
 
 
 def _files(lab: Path | None) -> dict[str, Path]:
-    """Return the files of the report by their names in the archive."""
     data = data_folder()
     folders = {"settings": config_folder(), "log": data / "log"}
     with suppress(InputError, OSError):

@@ -628,7 +628,6 @@ class ForceTorqueReader:
         return driver_fault(error)
 
     def _forget(self) -> None:
-        """Reset counts and time stamps."""
         started = self._description
         period_s = started.period_s if started else 1.0
         numbered = started is not None and started.numbered

@@ -281,7 +281,6 @@ class TactileCamera:
                 self._take(*taken)
 
     def _take(self, t_s: float, sequence: int, content: bytes | ImageArray) -> None:
-        """Deliver a picture if it is valid."""
         image = self._gate.judge(t_s, content)
         if self._gate.fault is not None:
             self._fail(self._gate.fault)

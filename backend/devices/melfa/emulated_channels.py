@@ -534,7 +534,6 @@ class EmulatedCommands:
         return numbers
 
     def _numbers(self, text: str) -> tuple[float, ...]:
-        """Return six numbers; a missing one is 0."""
         try:
             numbers = tuple(float(part or 0.0) for part in text.split(","))
         except ValueError:

@@ -242,7 +242,6 @@ class MelfaServer(DeviceServer):
     # -- faults -----------------------------------------------------------------------------------
 
     def _apply_faults(self, now_s: float) -> None:
-        """Start and end faults of the controller."""
         controller = self._device.controller
         controller.joints.stalled = self.faults.active("stall", now_s)
         for kind, begin in self._begins.items():

@@ -281,7 +281,6 @@ def _connected(host: str, port: int) -> socket.socket:
 
 
 def _received_datagrams(wire: socket.socket) -> list[bytes]:
-    """Return the received datagrams, oldest first."""
     came: list[bytes] = []
     for _ in range(MOST_DATAGRAMS):
         try:

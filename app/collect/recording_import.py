@@ -168,7 +168,7 @@ class RecordingSheet(BenchSheet):
 
     def _list(self, contents: list[exchange.RecordedSignal]) -> None:
         self.contents.show_rows([
-            (one.name, one.kind.rpartition("/")[2], f"{one.numbers or ''}", f"{one.count:,}",
+            (one.name, one.kind.rpartition("/")[2], f"{one.numbers or ''}", f"{one.messages:,}",
              f"{one.rate_hz:.1f}")
             for one in contents
         ])  # fmt: skip

@@ -106,7 +106,7 @@ class RecordedSignal(NamedTuple):
     name: str
     kind: str
     numbers: int  # 0: pictures, or none
-    count: int
+    messages: int
     rate_hz: float
 
 

@@ -127,8 +127,8 @@ def recording_contents(source: Path, cancelled: Event = NEVER) -> list[RecordedS
     """Return the topics or features of a recording; raises ``InputError`` like ``read_foreign``."""
     (table,) = read_foreign("contents", source, cancelled=cancelled)
     rows = table.values["contents"].tolist()
-    return [RecordedSignal(*names, int(numbers), int(count), float(rate_hz))
-            for *names, numbers, count, rate_hz in rows]  # fmt: skip
+    return [RecordedSignal(name, kind, int(numbers), int(messages), float(rate_hz))
+            for name, kind, numbers, messages, rate_hz in rows]  # fmt: skip
 
 
 FRAME_SHAPE = (240, 320, 3)

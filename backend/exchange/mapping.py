@@ -240,8 +240,8 @@ def read_contents(source: Path) -> Iterator[ForeignEpisode]:
     else:
         for bag in _bags(source):
             for topic in _topics(bag):
-                before = found[topic.name].count if topic.name in found else 0
-                found[topic.name] = topic._replace(count=topic.count + before)
+                before = found[topic.name].messages if topic.name in found else 0
+                found[topic.name] = topic._replace(messages=topic.messages + before)
     yield ForeignEpisode(0, 0.0, {"contents": np.array(sorted(found.values()))})
 
 

@@ -397,7 +397,6 @@ class RunReader:
 
 
 def _line_count(journal: Path) -> int:
-    """Return the number of lines of a log, at least 1."""
     with journal.open("rb") as file:
         blocks = iter(lambda: file.read(BLOCK_BYTES), b"")
         return max(1, sum(block.count(b"\n") for block in blocks))

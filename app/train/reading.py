@@ -117,7 +117,6 @@ REVIEW_HINT = "No approved label yet. Accept some in Label (Ctrl+2); another per
 
 
 def _label_hint(form: TrainingForm) -> str:
-    """Return a hint if the label selection leaves no episodes."""
     names = [name for name, _ in LABEL_TITLES]
     for name, text in LABEL_TITLES[names.index(form.labels) + 1 :]:
         labels = next(choice for choice in LABEL_CHOICES if choice == name)

@@ -245,7 +245,6 @@ def _metadata(
 
 
 def _notes(episode: core.Episode, label: Mapping[str, object] | None) -> Iterator[StampedMessages]:
-    """Yield observation, event and label."""
     steps = np.arange(len(episode.observation))
     stamps = to_ns(episode.onset_s + TICK_S * (steps + 1))
     yield OBSERVATION_TOPIC, stamps, steps, pack_observation(stamps, episode.observation)

@@ -241,7 +241,6 @@ class Recipe:
             yield from (cell for cell in cells if cell is not None)
 
     def _source(self, piece: str, model: str) -> str | None:
-        """Return the training job or the hash of a model."""
         if (piece, model) in self.models:
             return self.models[piece, model]
         return self.training(piece, model).id if self.scale.probes else None

@@ -366,7 +366,6 @@ class RigLink:
         self._greeting.came.set()
 
     def _give_up(self, fault: Fault) -> None:
-        """End every motion and every command with ``fault``."""
         for motion in list(self._motions.values()):
             motion.end(fault)
         self._motions.clear()

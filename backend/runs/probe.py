@@ -102,7 +102,6 @@ def _press(
 
 
 def _refuse_turned(bench: Bench, turning: TorsionSlipDetector) -> None:
-    """Latch and raise the fault of a piece that rotated in the grasp."""
     if not turning.update():
         return
     fault = turned_fault(turning.turned_rad)

@@ -128,7 +128,6 @@ def import_mujoco() -> Any:
 
 
 def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:
-    """Shift the centre of mass of the topmost body."""
     top = tower.bodies[-1]
     shift = rotated(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
     x, y = (np.asarray(top.com_xy_mm) + shift).tolist()

@@ -355,5 +355,4 @@ def interface_heights_mm(stand: SupportStack) -> FloatArray:
 
 
 def _sum_above(values: FloatArray) -> FloatArray:
-    """Return for each body the sum over it and all above."""
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1], dtype=np.float64)

@@ -287,7 +287,6 @@ class JogPad(base.Panel):
         self._field.setMaximumSize(most.expandedTo(self._field.minimumSizeHint()))
 
     def _show_frame(self) -> None:
-        """Show the pads of the selected frame; ends a hold."""
         self.hold.end("the frame was changed")
         joint = self.frame.currentText() == "JOINT"
         self.turn.setVisible(self._turns and not joint)

@@ -370,7 +370,6 @@ class OffsetView(plots.PictureView):
         return self._behind
 
     def _draw_ground(self, painter: QPainter, scene: OffsetScene, area: plots.PlotArea) -> None:
-        """Draw grid and bottom, once per pair of faces."""
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setFont(ui_font(self._theme.scale, 0.85))
         plots.draw_mm_grid(painter, area, self._theme)

@@ -108,7 +108,6 @@ def _versions() -> dict[str, object]:
 
 
 def _people(texts: Iterable[str]) -> set[str]:
-    """Return the persons that the texts and the operator's dataset name."""
     from touchdown.backend.annotations import Dataset
     from touchdown.backend.runs import dataset_folder
 

@@ -485,7 +485,6 @@ class EmulatedGcl:
         self.gripper.closed(now_s)
 
     def _ends(self, now_s: float) -> list[GclLine]:
-        """Return the ends of motions that are due."""
         out = [line for at_s, line in self._waiting if at_s <= now_s]
         self._waiting = [item for item in self._waiting if item[0] > now_s]
         return out

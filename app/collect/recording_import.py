@@ -133,7 +133,8 @@ class RecordingSheet(BenchSheet):
 
     def _arrange(self) -> None:
         left = vbox(
-            hbox(self.choose, self.choose_folder, 1), self.file, (self.contents, 2),
+            label("Import recordings", "head"), hbox(self.choose, self.choose_folder, 1),
+            self.file, (self.contents, 2),
             label("Mapping", "title"), (self.mapping, 5),
         )  # fmt: skip
         grid = QGridLayout()

@@ -315,11 +315,11 @@ def _background(colours: bytes, shape: tuple[int, ...]) -> Float32:
     return planes
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def _noise_bank(state: str, deviation: float) -> Float32:
     """Return (3, 480, 640) noise drawn by a generator in ``state``.
 
-    Cached for the fingers of two scenes, so that a repeated seed starts sooner.
+    Cached for the fingers of one scene, so that a repeated seed starts sooner; each takes 4 MB.
     """
     draws = np.random.Generator(np.random.PCG64())
     draws.bit_generator.state = json.loads(state)

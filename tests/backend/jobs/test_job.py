@@ -196,6 +196,8 @@ INTERRUPTED = CAMPAIGN.replace("orphan", "linger").replace("KINDS, store, 1", "K
 @pytest.mark.parametrize("busy", [False, True])
 def test_an_interrupt_of_the_terminal_ends_workers_silently(busy, tmp_path):
     code = INTERRUPTED.replace("list(", "try: list(") + "except KeyboardInterrupt: sys.exit(130)"
+    # A job in the background of a shell inherits an ignored SIGINT.
+    code = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n{code}"
     program = subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)], cwd=Path(__file__).parents[3],
         start_new_session=True, stderr=subprocess.PIPE, text=True,

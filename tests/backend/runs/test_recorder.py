@@ -82,7 +82,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, picture, monkeypatch, 
         patch.setattr(os if call == "fsync" else Path, call, full)
         with pytest.raises(InputError, match="No space left") as caught:
             keep_photo(tmp_path / "run", 3, picture)
-    assert caught.value.where == str(picture)
+    assert caught.value.where == str(kept.with_name("trial-003-2.png"))
     assert sorted(kept.parent.iterdir()) == [kept]
     assert keep_photo(tmp_path / "run", 3, picture).name == "trial-003-2.png"
 

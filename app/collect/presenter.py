@@ -173,7 +173,7 @@ class ProbesPresenter:
         )
         rows = self.harvest.rows(deleted=page.deleted.isChecked())
         page.table.show_rows(rows, self.shown)
-        page.episodes.detail.setText(tr("{} in all series", count_noun(len(rows), "episode")))
+        page.episodes.detail.setText(count_noun(len(rows), "episode"))
         page.probe.show_words(words(self.held()))
 
 

@@ -205,7 +205,9 @@ def _hand_checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> 
                f"{'down' if travel[2] < 0.0 else 'up'}: "
                "sign ('acts_on') or frame ('axes') of 'wrench'.")  # fmt: skip
     if not LEAST_LEVER_M <= lever_m <= MOST_LEVER_M:
-        yield f"The moment has a lever of {lever_m:.3g} m: 'moment_unit' of 'wrench'."
+        size = "short" if lever_m < LEAST_LEVER_M else "long"
+        yield (f"The moment has a lever of {lever_m:.3g} m, too {size} for a hand: correct "
+               "'moment_unit' of 'wrench'.")  # fmt: skip
     due_n = -STANDARD_GRAVITY_M_S2 * (payload_kg or 0.0)
     if payload_kg is not None and abs(weight[2] - due_n) > 1.0 - 0.25 * due_n:
         yield (f"Fz in still air is {weight[2]:+.1f} N, the payload weighs {due_n:+.1f} N: unit, "

@@ -169,7 +169,7 @@ def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet,
     ]
     look(page, sheet)
     said = {name: found.text() for name, found in sheet.findings.items()}
-    assert said["wrench"] == "The moment has a lever of 15.6 m: 'moment_unit' of 'wrench'."
+    assert "lever of 15.6 m, too long for a hand: correct 'moment_unit'" in said["wrench"]
     assert "add 180 to its 'turn_deg'" in said["left"]
     assert said["right"] == "Nothing contradicts 'right'."
     assert [line.name for line in sheet.plots["Force"].lines] == ["x", "y", "z"]

@@ -215,7 +215,10 @@ def outcome_text(trial: TrialStory, head: core.RunStarted | None) -> views.Decis
         caption = views.TRUE_MARGIN
         if margin and last is not None:
             said = "{} Estimate: stands, {}." if last.stable else "{} Estimate: falls, {}."
-            text = tr(said, text, views.signed_mm(last.margin_mm))
+            if last.stable and not placed:
+                said = "{} Estimate: stands, {}, {:.1f} mm too high."
+            too_high_mm = last.margin_mm - (done.margin_mm or 0.0)
+            text = tr(said, text, views.signed_mm(last.margin_mm), too_high_mm)
     mark = "\N{CHECK MARK}" if placed else "\N{MULTIPLICATION X}"
     word = tr(views.OUTCOME_WORDS[done.outcome])
     several = head is not None and head.trials > 1

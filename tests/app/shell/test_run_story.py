@@ -11,9 +11,17 @@ from PySide6.QtWidgets import QPushButton
 
 from tests.app.conftest import settle
 from tests.app.stand_in import action
+from touchdown.app.shell.run_story import ProbeStory, TrialStory, outcome_text
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
-from touchdown.backend.core import Outcome, PhaseEntered, PieceWeighed, TrialFinished
+from touchdown.backend.core import (
+    Outcome,
+    PhaseEntered,
+    PieceWeighed,
+    RunStarted,
+    Stability,
+    TrialFinished,
+)
 from touchdown.backend.runs.requests import RunState, StackRequest
 from touchdown.widgets.forms.run_form import RunForm
 from touchdown.widgets.views.belief import NO_PROBE
@@ -437,3 +445,19 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
     qtbot.waitUntil(lambda: not main._loader.busy, timeout=60_000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "true_mm", "said"),
+    [
+        (Outcome.PLACED, 1.5, "fine Estimate: stands, +0.1 mm."),
+        (Outcome.FELL, -1.8, "fine Estimate: stands, +0.1 mm, 1.9 mm too high."),
+    ],
+)
+def test_a_fall_after_a_good_estimate_names_the_error_of_the_estimate(outcome, true_mm, said):
+    trial = TrialStory(1, 3, None)
+    judged = Stability(True, 0.1, "area", np.zeros((0, 2)), (0.0, 0.0), "belief")
+    trial.probes.append(ProbeStory(1, stability=judged))
+    trial.finished = TrialFinished(9.0, 1, 3, outcome, "fine", 1, None, true_mm)
+    head = RunStarted(0.0, "r", "pot", "short", "paper", 3, 1, simulated=True, settings="")
+    assert outcome_text(trial, head).text == said

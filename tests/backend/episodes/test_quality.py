@@ -176,6 +176,8 @@ def test_the_same_signals_under_other_labels_are_twins(clean):
     near = replace(far, uuid="near", offset_mm=clean[5].offset_mm + 1.0)
     assert ("twins", ("e05", "twin")) in kinds([*clean, far])
     assert kinds([*clean, near]) == set()
+    unknown = changed(far, (3, 0), np.nan)
+    assert ("twins", ("e05", "twin")) not in kinds([*clean, unknown]), "a signal is unknown"
 
 
 def test_a_shifted_distribution_is_uneven_along_its_axis(clean):

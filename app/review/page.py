@@ -61,7 +61,7 @@ class ReviewPage(WorkspacePage):
         self.experiments = flat_button("Report", report)
         self.empty = label("", "muted", wrap=True)
         self.belief, self.legend = BeliefView(theme), BeliefLegend(theme)
-        self.belief.setMinimumHeight(170)
+        self.belief.setMinimumHeight(160)
         self.story.setMinimumHeight(STORY_PX)
         # Whole rows would leave free room below the last one.
         self.story.setVerticalScrollMode(self.story.ScrollMode.ScrollPerPixel)

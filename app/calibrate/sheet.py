@@ -145,7 +145,7 @@ STEPS: dict[CalibrationName, tuple[str, ...]] = {
         "Exchanged fingers and mirrored pictures are put right from the next start on.",
     ),
     "day": (
-        "It begins with an empty gripper: the piece waits in its jig, or is handed over.",
+        "The check begins with an empty gripper: the piece waits in its jig, or is handed over.",
         "Markers and wrist sensor rest for 20 s; then the piece is pressed four times.",
         "The result is stored. Out of limits, you are asked before each release until one passes.",
     ),

@@ -85,7 +85,9 @@ class RecordingSheet(BenchSheet):
         if self._busy:
             return
         if path.suffix == ".toml":
-            self._run("Reading", lambda _: path.read_text("utf-8"), self.mapping.setPlainText)
+            # A file of another kind is shown, and refused by the preview in words.
+            read = partial(path.read_text, "utf-8", "replace")
+            self._run("Reading", lambda _: read(), self.mapping.setPlainText)
         else:
             self._source = path
             self.file.setText(path.name)
@@ -205,6 +207,8 @@ class RecordingSheet(BenchSheet):
 
     def _failed(self, error: Exception) -> None:
         words = f"{error.what} {error.fix}" if isinstance(error, InputError) else str(error)
+        if isinstance(error, OSError):
+            words = tr("A file cannot be read or written: {}.", error.strerror or error)
         self._say(words, bad=True)
 
     def _forget(self) -> None:

@@ -109,7 +109,7 @@ _FX, _FZ = TACTILE_CHANNELS, TACTILE_CHANNELS + 2
 
 @dataclass(frozen=True, slots=True)
 class ExaminedEpisode:
-    """What the checks need of one episode, about 1 kB instead of the 20 kB of its signals.
+    """Input of the checks for one episode: about 1 kB instead of the 20 kB of its signals.
 
     ``offset_mm`` (2,) is the labelled displacement, ``features`` (258,) the mean signals of the
     last 0.5 s (NaN if any signal is unknown), ``findings`` those of this episode alone.

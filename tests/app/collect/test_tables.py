@@ -1,5 +1,6 @@
 """The Collect half: form, keys, lists and maps."""
 
+import errno
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ from PySide6.QtWidgets import QApplication, QLabel
 
 from tests.app.collect.conftest import PROBES
 from tests.app.conftest import drop, settle
+from touchdown.app.collect import recording_import
 from touchdown.app.collect.requests import collect_request
 from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
@@ -417,3 +419,23 @@ def test_a_run_that_paused_by_itself_says_why_until_it_goes_on(live, bench):
     bench.events.publish(PhaseEntered(2.0, "press", 3))
     settle(live)
     assert live.cards.codes == ()
+
+
+def test_garbage_nan_and_a_full_disk_are_refused_in_words(page, sheet, tmp_path, monkeypatch):
+    (tmp_path / "picture.toml").write_bytes(b"\xff\xd8\xff\xe0 no text")
+    assert drop(sheet, tmp_path / "picture.toml")
+    page._qtbot.waitUntil(lambda: "no text" in sheet.mapping.toPlainText(), timeout=60_000)
+    look(page, sheet)
+    assert "not valid TOML" in sheet.note.text()
+    sheet.mapping.setPlainText((FOREIGN / "map.toml").read_text().replace("1.5", "nan"))
+    look(page, sheet)
+    assert "payload_kg': Input should be a finite number" in sheet.note.text()
+    assert not sheet.add.isEnabled()
+
+    def full(*_args: object, **_named: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recording_import, "write_atomically", full)
+    look(page, sheet)
+    assert sheet.note.text().endswith("cannot be read or written: No space left on device.")
+    assert not sheet.add.isEnabled()

@@ -45,6 +45,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QMenu,
+    QPlainTextEdit,
     QPushButton,
     QScrollBar,
     QSizeGrip,
@@ -199,7 +200,8 @@ RUN_WORDS = ("approach", "touch", "press", "hold", "lift", "shift", "unload", "r
              "dark", "light", "probing", "collecting", "all", "degrees", "millimetres", "done",
              "open", "now", "simulated", "emulated", "lab", "running", "succeeded", "interrupted",
              "keep", "discard", "skip", "degraded", "stale", "active", "any", "auto", "new",
-             "nothing", "target", "step", "face", "quantity", "value", "limits", "parameter", "run",
+             "nothing", "target", "step", "face", "source", "type", "numbers",
+             "messages", "optimiser", "quantity", "value", "limits", "parameter", "run",
              "state", "sees", "epoch", "setting", "units", "layers", "rate", "schedule", "epochs",
              "patience", "keeps", "batch", "seed", "piece", "labels", "best", "received", "lost",
              "maker", "model", "serial", "firmware", "noise", "offset", "markers", "used", "sigma",
@@ -296,6 +298,7 @@ DATA = frozenset(
      "Esc", "Space", "Backspace", "Tab", "PgUp", "PgDown", "XYZ", "TOOL", "JOINT", "cividis",
      "viridis", "cosine", "drift", "min", "bota", "dynpick", "leptrino", "melfa", "netft",
      "optoforce", "ur", "Tac", "arm",
+     "Adam", "CompressedImage", "PoseStamped", "WrenchStamped",
      "Maker", "Model", "Jan", "Feb", "Apr", "Jun", "Aug", "Oct", "Nov",
      "Dec"]
 )  # fmt: skip
@@ -350,8 +353,9 @@ def plain_words(text: str) -> tuple[str, ...]:
         if _is_plain(word):
             words.append(word)
             continue
-        # Short parts of a text of the backend stand beside a long one.
-        part = (beside or word == "\0") and {one.lower() for one in words} <= backend_words()
+        # Short parts of a text of the backend stand beside a long one, or before a number.
+        short = beside or word == "\0" or word.isdigit()
+        part = short and {one.lower() for one in words} <= backend_words()
         if words and not part:
             found.append(" ".join(words))
         words, beside = [], word == "\0" or (beside and word.isdigit())
@@ -409,10 +413,12 @@ def shown_texts(window: QWidget) -> Iterator[tuple[str, str]]:
 
 
 def _is_data(device: object) -> bool:
-    """Return True for a part of a report, whose texts come from a file."""
+    """Return True for an editor of text, or a part of a report, whose texts come from a file."""
     if not isinstance(device, QWidget):
         tops = QApplication.topLevelWidgets()
         return any(isinstance(top, ReportSheet) and top.isVisible() for top in tops)
+    if any(isinstance(one, QPlainTextEdit) for one in (device, device.parentWidget())):
+        return True
     sheet = device.window()
     return isinstance(sheet, QFileDialog) or (
         isinstance(sheet, ReportSheet)

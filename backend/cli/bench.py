@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import re
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
@@ -16,22 +15,17 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-import numpy as np
-from rich.table import Table
-
 from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, without_window, write_new
 from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 from touchdown.backend.core import Event, FaultError, InputError, Refused, RefusedError
 
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
-    from touchdown.backend.core import SampleStream, Stream, TactileFrame
     from touchdown.backend.devices import Arm, ForceTorqueSensor, Gripper
-    from touchdown.backend.rig import BenchConnection, NewestStamp, SensorTiming, StampsSince
+    from touchdown.backend.rig import BenchConnection
 
 
 WEIGH_S = 0.5  # the weight of the hand is averaged over this time
-TIMING_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
 REQUIRED_KEYS = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
@@ -150,11 +144,8 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
         connection.begin()
         report_devices(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
-        timings = [] if away else _sensor_timing(session)
     if away:
         screen.say(f"Not connected: {', '.join(away)}.")
-    if timings:
-        screen.show(_timing_table(timings))
     screen.result(
         {
             "devices": [
@@ -167,8 +158,7 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
                     "text": line_text(line),
                 }
                 for line in lines
-            ],
-            "timing": [asdict(timing) for timing in timings],
+            ]
         }
     )
     return 1 if away else 0
@@ -306,43 +296,3 @@ def _advance(session: Session, seconds: float) -> None:
     end_s = session.clock_s() + seconds
     while session.clock_s() < end_s:
         session.advance()
-
-
-def _sensor_timing(session: Session) -> list[SensorTiming]:
-    """Return the timing of the sensors relative to each other while the bench stands still."""
-    from touchdown.backend.rig import measure_timing
-
-    raw = session.raw
-    sensors = {"force_torque": _stamps(raw.samples), "arm": _stamps(raw.poses)}
-    for finger, frames in raw.frames.items():
-        sensors[f"tactile_{finger}"] = _frame_stamps(frames)
-    return measure_timing(sensors, session.clock_s, threading.Event().wait, TIMING_S)
-
-
-def _stamps(stream: SampleStream) -> tuple[NewestStamp, StampsSince]:
-    def newest_s() -> float:
-        stamps_s = stream.since(stream.count - 1).t_s
-        return float(stamps_s[-1]) if len(stamps_s) else math.nan
-
-    return newest_s, lambda t_s: stream.window(t_s, math.inf).t_s
-
-
-def _frame_stamps(frames: Stream[TactileFrame]) -> tuple[NewestStamp, StampsSince]:
-    def newest_s() -> float:
-        newest = frames.newest()
-        return math.nan if newest is None else newest.t_s
-
-    return newest_s, lambda t_s: np.array([frame.t_s for frame in frames.between(t_s, math.inf)])
-
-
-def _timing_table(timings: Sequence[SensorTiming]) -> Table:
-    table = Table(title=f"Time, {TIMING_S:.0f} s at rest, all on this computer's clock")
-    table.add_column("sensor", min_width=len("tactile_right"))
-    # Short texts: a terminal with 80 columns would cut the last number.
-    for column in ("samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",
-                   "age\nms", "age ms,\n99 %"):  # fmt: skip
-        table.add_column(column, justify="right", no_wrap=True)
-    for one in timings:
-        values = (one.rate_hz, one.spread_ms, one.gap_ms, one.age_ms, one.late_ms)
-        table.add_row(one.name, str(one.samples), *(f"{value:.1f}" for value in values))
-    return table

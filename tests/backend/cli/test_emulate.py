@@ -19,7 +19,6 @@ import pytest
 from rich.table import Table
 
 from touchdown.backend import bench
-from touchdown.backend.cli import bench as bench_verb
 from touchdown.backend.cli import emulate, main
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.settings import as_toml, load_method
@@ -320,7 +319,6 @@ def test_a_bench_is_not_ready_with_a_wrist_sensor_that_does_not_weigh_its_hand(
     connection = BenchConnection({"force_torque": sensor})
     session = SimpleNamespace(connection=connection, close=sensor.close)
     monkeypatch.setattr(bench, "lab_session", lambda choice, keep: closing(session))
-    monkeypatch.setattr(bench_verb, "_sensor_timing", lambda session: [])
     ready = hand == "sound"
     assert main(["bench", str(lab), "--connect", "--json"]) == (0 if ready else 1)
     wrist.close()

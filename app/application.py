@@ -97,7 +97,6 @@ class TouchdownApp(QObject):
         self.layout_menu = shell.LayoutMenu(
             self.window, self.layouts, lambda: self.window.front, self.actions.action("layout")
         )
-        self.dialogs.more = lambda: self.layouts.entries(self.window.front)
         self.toured, self.tour_due = settings.toured, False
         stops = partial(tour_stops, self.window, self.bar, self.workspaces)
         self.tour = Tour(self.theme, self.window, self.cards, stops, self.go, self._tour_ended)

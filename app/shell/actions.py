@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.app.shell.layouts import Entry
 from touchdown.app.shell.workspace import WindowCommand, Workspace
 from touchdown.widgets.base import tr
 from touchdown.widgets.forms import ACTIVE_DURING_QUESTION
@@ -223,8 +222,7 @@ class _BoundCommand:
             self._run_command()
 
 
-# Prefixes of the palette entries for key changes and for temporary entries.
-CHANGE, MORE = "key:", "more:"
+CHANGE = "key:"  # prefix of the palette entries for key changes
 
 
 class CommandDialogs:
@@ -235,9 +233,6 @@ class CommandDialogs:
         changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self._window, self._actions, self._go, self._changed = window, actions, go, changed
-        # Temporary palette entries: (text, function).
-        self.more: Callable[[], Sequence[Entry]] = tuple
-        self._offered: Sequence[Entry] = ()
         self.sheet: KeySheet | None = None
         self.palette: CommandPalette | None = None
         self.asker: KeyDialog | None = None
@@ -257,12 +252,6 @@ class CommandDialogs:
     def _choices(self) -> list[PaletteEntry]:
         rows = [row for row in self._actions.rows if row.command is not None]
         acts = [PaletteEntry(row.id, row.title, row.text, row.key) for row in rows]
-        self._offered = self.more()
-        here = tr("Here")
-        acts += [
-            PaletteEntry(f"{MORE}{at}", here, text, "")
-            for at, (text, _) in enumerate(self._offered)
-        ]
         return acts + [
             PaletteEntry(CHANGE + row.id, row.title, tr("Change key of: {}", row.text), "")
             for row in rows
@@ -274,9 +263,6 @@ class CommandDialogs:
             if self.asker is None:
                 self.asker = KeyDialog(self._window)
             self.asker.ask(row.text, row.key, partial(self._change, row.id))
-            return
-        if name.startswith(MORE):
-            self._offered[int(name.removeprefix(MORE))][1]()
             return
         row = self._row(name)
         if row.context != EVERYWHERE_CONTEXT:

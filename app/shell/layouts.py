@@ -51,7 +51,6 @@ def load_layouts(path: Path) -> tuple[SavedLayouts, str]:
 
 INSTEAD = "The usual ones are used."
 USUAL = "Usual"
-Entry = tuple[str, Callable[[], None]]
 
 
 class LayoutsPresenter:
@@ -175,26 +174,6 @@ class LayoutsPresenter:
         """Return the panels that can be hidden, with their visibility."""
         columns = self._columns[workspace]
         return [(title, not columns.hides(title)) for title in columns.panels]
-
-    def entries(self, workspace: str) -> list[Entry]:
-        """Return the palette entries of a workspace: (text, function)."""
-        if not self.has(workspace):
-            return []
-        found: list[Entry] = [
-            (tr("Layout: {}", tr(name)), partial(self.choose, workspace, name))
-            for name in (USUAL, *self.names(workspace))
-        ]
-        found += [
-            (tr("Delete the layout '{}'", name), partial(self.delete, workspace, name))
-            for name in self.names(workspace)
-        ]
-        if not self.locked:
-            found += [
-                (tr("Leave out the panel '{}'" if shown else "Show the panel '{}'", tr(title)),
-                 partial(self.turn_panel, workspace, title))
-                for title, shown in self.panels(workspace)
-            ]  # fmt: skip
-        return found
 
     def _without(self, wrong: Mapping[str, str]) -> str:
         """Remove layouts that do not fit, given with the reason; return the notice."""

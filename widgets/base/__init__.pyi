@@ -25,7 +25,6 @@ from .rows import ENTER as ENTER
 from .rows import ROOT as ROOT
 from .rows import KeylessList as KeylessList
 from .rows import ModelIndex as ModelIndex
-from .rows import RowList as RowList
 from .rows import RowPainter as RowPainter
 from .rows import WrappedItemDelegate as WrappedItemDelegate
 from .rows import draw_elided_line as draw_elided_line

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from PySide6.QtCore import (
-    QAbstractListModel,
-    QMargins,
-    QModelIndex,
-    QPersistentModelIndex,
-    QRect,
-    QRectF,
-    QSize,
-    Qt,
-)
+from PySide6.QtCore import QMargins, QModelIndex, QPersistentModelIndex, QRect, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PySide6.QtWidgets import (
-    QListView,
     QListWidget,
     QStyle,
     QStyledItemDelegate,
@@ -56,8 +46,8 @@ def plain_table(table: QTableView, name: str) -> None:
 class RowPainter(QStyledItemDelegate):
     """Delegate that draws rows in the colours of the theme."""
 
-    def __init__(self, theme: Theme, parent: QWidget) -> None:
-        super().__init__(parent)
+    def __init__(self, theme: Theme) -> None:
+        super().__init__()
         self.theme = theme
 
     def colours(self, painter: QPainter, option: QStyleOptionViewItem) -> tuple[QColor, QColor]:
@@ -78,33 +68,6 @@ class RowPainter(QStyledItemDelegate):
 
     def draw(self, painter: QPainter, option: QStyleOptionViewItem, row: Any) -> None:
         """Draw one row; subclasses override this."""
-
-
-class RowList(QListView):
-    """List of rows of equal height. It keeps its model and delegate alive: Qt does not own them."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.setUniformItemSizes(True)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setAccessibleName(tr(name))
-
-    def draw_rows(self, model: QAbstractListModel, painter: RowPainter) -> None:
-        """Set model and delegate."""
-        self._rows_of, self._painter = model, painter
-        self.setModel(model)
-        self.setItemDelegate(painter)
-
-    def fit_to_theme(self) -> None:
-        """Adapt the row height to the font scale."""
-        self._rows_of.layoutChanged.emit()
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Handle keys that move the selection; letters and Space go to the page."""
-        if event.text() and event.text().isprintable():
-            event.ignore()
-        else:
-            super().keyPressEvent(event)
 
 
 def true_minus(text: str) -> str:

@@ -16,8 +16,8 @@ from PySide6.QtCore import (
     Qt,
     Signal,
 )
-from PySide6.QtGui import QFontMetrics, QPainter, QPen
-from PySide6.QtWidgets import QApplication, QPushButton, QStyleOptionViewItem, QWidget
+from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
+from PySide6.QtWidgets import QApplication, QListView, QPushButton, QStyleOptionViewItem, QWidget
 
 from touchdown.widgets import base
 
@@ -42,12 +42,29 @@ class RecordingRow:
         return self.detail or self.title
 
 
-class _NumberedList(base.RowList):
-    """List of ``_RowModel``. A row keeps its number however rows are sorted or filtered."""
+class _NumberedList(QListView):
+    """List of rows of equal height. A row keeps its number however rows are sorted or filtered."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self._rows = _RowModel(self)
+    def __init__(self, name: str, painter: base.RowPainter) -> None:
+        super().__init__()
+        # Kept alive here: Qt does not own them.
+        self._rows, self._painter = _RowModel(self), painter
+        self.setUniformItemSizes(True)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setAccessibleName(base.tr(name))
+        self.setModel(self._rows)
+        self.setItemDelegate(painter)
+
+    def fit_to_theme(self) -> None:
+        """Adapt the row height to the font scale."""
+        self._rows.layoutChanged.emit()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Handle keys that move the selection; letters and Space go to the page."""
+        if event.text() and event.text().isprintable():
+            event.ignore()
+        else:
+            super().keyPressEvent(event)
 
     def show_row(self, number: int, row: Any) -> None:
         if self._rows.rows[number] != row:
@@ -71,11 +88,10 @@ class RecordingList(_NumberedList):
     """
 
     def __init__(self, theme: base.Theme, name: str, chosen: Callable[[int], None]) -> None:
-        super().__init__(name)
+        super().__init__(name, _RecordingPainter(theme))
         self._chosen = chosen
         self.current = -1  # number of the selected row, -1 for none; kept while it is filtered out
         self._telling = True
-        self.draw_rows(self._rows, _RecordingPainter(theme, self))
         self.setMinimumHeight(60)
         self.selectionModel().selectionChanged.connect(lambda *_: self._on_selected())
 
@@ -216,10 +232,9 @@ class LabelList(_NumberedList):
     selection_changed = Signal()
 
     def __init__(self, theme: base.Theme, chosen: Callable[[int], None]) -> None:
-        super().__init__("Episodes of the queue")
+        super().__init__("Episodes of the queue", _LabelPainter(theme))
         self._choose, self._chosen = chosen, 0
         self.setSelectionMode(self.SelectionMode.ExtendedSelection)
-        self.draw_rows(self._rows, _LabelPainter(theme, self))
         self.setMinimumWidth(170)
         self.clicked.connect(self._on_clicked)
         self.selectionModel().selectionChanged.connect(lambda *_: self.selection_changed.emit())

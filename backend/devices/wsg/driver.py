@@ -102,13 +102,7 @@ def link_fault(what: str) -> Fault:
 
 
 STOPPED, REPLACED = protocols.stopped_fault(NAME), protocols.replaced_fault(NAME)
-NOT_CONNECTED = Fault(
-    "NOT-CONNECTED",
-    "The gripper is not connected.",
-    protocols.NOTHING_MOVED,
-    "Connect it first.",
-    NAME,
-)
+NOT_CONNECTED = protocols.not_connected_fault(NAME)
 
 
 class WsgMotion(protocols.CommandedMotion):

@@ -427,21 +427,24 @@ def test_a_locked_layout_keeps_its_panels_and_the_menu_says_so(live):
     live.layouts.toggle_lock()
 
 
-def test_the_palette_offers_the_layouts_of_the_page_in_front(live):
+def test_the_menu_offers_a_layout_saved_under_a_name(live):
     live.go("stack")
     live.actions.action("save-layout").trigger()
     asker = live.layout_menu.asker
     QTest.keyClicks(asker.field, "mine")
     QTest.keyClick(asker.field, Qt.Key.Key_Return)
     assert not asker.isVisible()
-    live.actions.action("palette").trigger()
-    palette = live.dialogs.palette
-    QTest.keyClicks(palette.field, "layout: mine")
-    shown = palette.list.currentItem().text()
-    assert shown.startswith("Layout: mine")
-    palette.close()
+    live.actions.action("layouts").trigger()
+    menu = live.layout_menu.menu
+    entries = {action.text(): action for action in menu.actions()}
+    assert "mine" in entries
+    menu.close()
+    entries["Delete 'mine'"].trigger()
+    assert live.layouts.names("stack") == ()
     live.go("review")
-    assert live.dialogs.more() == []
+    live.actions.action("layouts").trigger()
+    assert not menu.actions()[0].isEnabled()
+    menu.close()
 
 
 @pytest.mark.promise("W8")

@@ -20,8 +20,8 @@ from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
 from touchdown.backend import experiments
 from touchdown.backend.core import InputError, RunStarted, write_atomically
-from touchdown.widgets.base import Tokens, label, tr
-from touchdown.widgets.views import FlowWidget, PictureCard, ReportCell, ReportGrid, ReportSheet
+from touchdown.widgets.base import FlowLayout, Theme, Tokens, label, tr
+from touchdown.widgets.views import PictureCard, ReportCell, ReportGrid, ReportSheet
 
 DEFAULT_SIZE_PX = 220, 220
 NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
@@ -65,7 +65,7 @@ def recolour_drawing(svg: str, tokens: Tokens) -> str:
 USUAL = Path("output/experiment")
 # Reports of the documents, where the program runs from a checkout.
 SHIPPED = Path(__file__).resolve().parents[2] / "docs" / "results"
-TABLES, JOBS = "tables*.json", "jobs"
+TABLES = "tables*.json"
 MOST_OPENED = 5
 
 
@@ -81,7 +81,6 @@ class ReportsPresenter:
         self._file = Path()
         self._opened: list[Path] = []
         self.menu: QMenu | None = None
-        self._entry: experiments.TableEntry | None = None
         self._asked = 0
         self._part = 0
         self._drawing = 0
@@ -125,7 +124,6 @@ class ReportsPresenter:
             return
         self._part = number
         section = self.report.sections[number]
-        self._choose(None)
         widgets: list[QWidget] = [label(section.title, "head", wrap=True)]
         about = self.report.about if number == 0 else ()
         widgets += [label(text, "muted", wrap=True) for text in (*about, *section.text)]
@@ -134,7 +132,7 @@ class ReportsPresenter:
             if part.title:
                 widgets.append(label(part.title, "title", wrap=True))
             if isinstance(part, experiments.ReportTable):
-                widgets += self._grid(part)
+                widgets += _table(part, self._context.theme)
             else:
                 widgets += _gallery(part, cards)
         self.sheet.show_part(widgets)
@@ -146,7 +144,6 @@ class ReportsPresenter:
         if self.sheet is None:
             self.sheet = sheet = ReportSheet(self._window)
             sheet.part_chosen.connect(self.show_part)
-            sheet.folder.clicked.connect(self._open_folder)
             sheet.browser.clicked.connect(self._open_in_browser)
             sheet.other.clicked.connect(self.ask)
         self.report, self._file = report, file
@@ -155,20 +152,6 @@ class ReportsPresenter:
             report.title, report.banner, str(file), [s.title for s in report.sections]
         )
         self.sheet.open_large()
-
-    def _grid(self, grid: experiments.ReportTable) -> list[QWidget]:
-        def choose(row: int, column: int) -> None:
-            inside = row >= 0 and column >= 0
-            self._choose(grid.rows[row][1][column] if inside else None)
-
-        columns = ["\n".join(filter(None, names)) for names in grid.columns]
-        rows = [(name, [_look(entry) for entry in entries]) for name, entries in grid.rows]
-        made: list[QWidget] = [
-            ReportGrid(self._context.theme, grid.title or "Table", columns, rows, choose)
-        ]
-        if grid.note:
-            made.append(label(grid.note, "small", wrap=True))
-        return made
 
     def _draw(self, cards: Sequence[tuple[experiments.ReportPicture, PictureCard]]) -> None:
         """Draw the pictures one by one on the thread while the part is shown."""
@@ -194,29 +177,6 @@ class ReportsPresenter:
 
         draw(0)
 
-    def _choose(self, entry: experiments.TableEntry | None) -> None:
-        self._entry = entry
-        if self.sheet is None:
-            return
-        if entry is None or not entry.value:
-            self.sheet.show_trace("", can_open=False)
-        elif not entry.jobs:
-            self.sheet.show_trace(tr("Computed from the other cells."), can_open=False)
-        else:
-            there = self._folder(entry) is not None
-            away = "" if there else f"; {tr('its folder is where the experiment was run')}"
-            self.sheet.show_trace(f"{entry.trace.capitalize()}{away}.", can_open=there)
-
-    def _folder(self, entry: experiments.TableEntry) -> Path | None:
-        """Return the run folder of a cell, None if it is not on this computer."""
-        folder = self._file.parent / JOBS / entry.jobs[0]
-        return folder if folder.is_dir() else None
-
-    def _open_folder(self) -> None:
-        folder = None if self._entry is None else self._folder(self._entry)
-        if folder is not None:
-            self._context.say(open_in_viewer(folder))
-
     def _open_in_browser(self) -> None:
         """Open the HTML page beside the file; write it first if it does not exist."""
         assert self.report is not None
@@ -240,6 +200,16 @@ class ReportsPresenter:
         self._context.cards.show_card(error_card("REPORT", error))
 
 
+def _table(table: experiments.ReportTable, theme: Theme) -> list[QWidget]:
+    """Return a table, with the note below it if it has one."""
+    columns = ["\n".join(filter(None, names)) for names in table.columns]
+    rows = [(name, list(map(_look, entries))) for name, entries in table.rows]
+    made: list[QWidget] = [ReportGrid(theme, table.title or "Table", columns, rows)]
+    if table.note:
+        made.append(label(table.note, "small", wrap=True))
+    return made
+
+
 def _look(entry: experiments.TableEntry) -> ReportCell:
     interval = (entry.interval,) if entry.interval else ()
     return ReportCell(entry.value, (*interval, *entry.notes), entry.trace)
@@ -257,7 +227,9 @@ def _gallery(
         for p in gallery.pictures
     ]
     cards += list(zip(gallery.pictures, own, strict=True))
-    made.append(FlowWidget(own))
+    flow = QWidget()
+    FlowLayout(*own, parent=flow)
+    made.append(flow)
     if gallery.end:
         made.append(label(gallery.end, wrap=True))
     return made

@@ -78,26 +78,18 @@ def test_in_text_of_twice_the_size_the_report_fits_into_the_least_window(qapp, q
         theme.apply(qapp, "dark", 1.0)
 
 
-def test_a_cell_leads_to_its_run_folder_if_that_is_here(review, qtbot, tmp_path, monkeypatch):
+def test_a_cell_names_its_job_and_a_missing_page_is_written(review, qtbot, tmp_path, monkeypatch):
     file = tmp_path / "tables.json"
     file.write_bytes(FULL.read_bytes())
     opened = []
     monkeypatch.setattr(reports, "open_in_viewer", lambda path: opened.append(path) or "Opened")
     open_report(review, qtbot, file)
     sheet, first = review.reports.sheet, review.reports.report.sections[0].parts[0].rows[0][1][0]
-    folder = tmp_path / "jobs" / first.jobs[0]
-    grids(sheet)[0].setCurrentCell(0, 0)
-    assert first.jobs[0] in sheet.trace.text()
-    assert not sheet.folder.isEnabled()
-    folder.mkdir(parents=True)
-    grids(sheet)[0].setCurrentCell(0, 1)
-    grids(sheet)[0].setCurrentCell(0, 0)
-    assert sheet.folder.isEnabled()
-    sheet.folder.click()
+    assert first.jobs[0] in grids(sheet)[0].item(0, 0).toolTip()
     sheet.browser.click()
-    qtbot.waitUntil(lambda: len(opened) == 2, timeout=60_000)
+    qtbot.waitUntil(lambda: len(opened) == 1, timeout=60_000)
     page = review.exports / "tables.html"
-    assert opened == [folder, page]
+    assert opened == [page]
     assert page.read_text("utf-8") == FULL.with_suffix(".html").read_text("utf-8")
 
 

@@ -31,7 +31,6 @@ from .probe_maps import BeliefPanel as BeliefPanel
 from .probe_maps import MapAndStrip as MapAndStrip
 from .probe_maps import ProbeStrip as ProbeStrip
 from .probe_maps import caption_of as caption_of
-from .report import FlowWidget as FlowWidget
 from .report import PictureCard as PictureCard
 from .report import ReportCell as ReportCell
 from .report import ReportGrid as ReportGrid

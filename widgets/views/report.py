@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from PySide6.QtCore import QEvent, QRect, QSize, Qt, Signal
+from PySide6.QtCore import QRect, QSize, Qt, Signal
 from PySide6.QtGui import QFont, QFontMetrics, QImage, QPainter, QPixmap, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -14,7 +14,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QListWidget,
     QPushButton,
-    QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
     QTableWidget,
@@ -24,7 +23,6 @@ from PySide6.QtWidgets import (
 
 from touchdown.widgets.base import (
     ElidedLabel,
-    FlowLayout,
     ModelIndex,
     Theme,
     WrappedItemDelegate,
@@ -38,7 +36,7 @@ from touchdown.widgets.base import (
 )
 
 GAP = 10
-PARTS_PX, TRACE_PX = 220, 260  # width of the list; least width of the source of a cell
+PARTS_PX = 220  # width of the list
 
 
 class PictureCard(QWidget):
@@ -64,36 +62,6 @@ class PictureCard(QWidget):
         self.picture.setPixmap(QPixmap.fromImage(image))
 
 
-class FlowWidget(QWidget):
-    """Cards in rows that wrap to the width."""
-
-    def __init__(self, cards: Sequence[PictureCard]) -> None:
-        super().__init__()
-        self.cards = list(cards)
-        for card in cards:
-            card.setParent(self)
-
-    def resizeEvent(self, _event: object) -> None:
-        """Lay out the cards at the new width."""
-        self.setFixedHeight(self._stand(self.width()))
-
-    def event(self, event: QEvent) -> bool:
-        """Lay out the cards when one changes its size."""
-        if event.type() == QEvent.Type.LayoutRequest:
-            self.setFixedHeight(self._stand(self.width()))
-        return super().event(event)
-
-    def _stand(self, width: int) -> int:
-        x = y = line = 0
-        for card in self.cards:
-            size = card.sizeHint()
-            if x and x + size.width() > width:
-                x, y, line = 0, y + line + GAP, 0
-            card.setGeometry(QRect(x, y, size.width(), size.height()))
-            x, line = x + size.width() + GAP, max(line, size.height())
-        return y + line
-
-
 class ReportSheet(QDialog):
     """Non-modal window of a report: list of parts at the left, one part at the right."""
 
@@ -113,11 +81,8 @@ class ReportSheet(QDialog):
         self.parts.currentRowChanged.connect(self.part_chosen)
         self.room = scroll_area()
         self.room.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.trace = ElidedLabel("small")
-        self.folder = _button("Open run folder", "Folder of the run behind this cell")
         self.browser = _button("Open in browser", "Show this report as a web page")
         self.other = _button("Open another", "Open another report")
-        self.show_trace("", can_open=False)
         self._arrange()
 
     def _arrange(self) -> None:
@@ -125,7 +90,7 @@ class ReportSheet(QDialog):
         close.clicked.connect(self.close)
         top = hbox((self.head, 1), (self.banner, 1))
         middle = hbox(self.parts, (self.room, 1), spacing=GAP)
-        foot = FlowLayout((self.trace, TRACE_PX), self.folder, self.browser, self.other, close)
+        foot = hbox(1, self.browser, self.other, close)
         vbox(top, self.file, (middle, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
 
     def open_large(self) -> None:
@@ -151,11 +116,6 @@ class ReportSheet(QDialog):
         self.room.setWidget(body)
         self.room.verticalScrollBar().setValue(0)
 
-    def show_trace(self, words: str, *, can_open: bool) -> None:
-        """Show the source of the selected cell; ``can_open``: its folder exists here."""
-        self.trace.setText(words or tr("Select a cell to see its source."))
-        self.folder.setEnabled(can_open)
-
 
 def _button(text: str, tip: str) -> QPushButton:
     button = QPushButton(tr(text))
@@ -169,7 +129,7 @@ PAD_X, PAD_Y = 9, 6
 
 @dataclass(frozen=True, slots=True)
 class ReportCell:
-    """``value`` with ``lines`` below it; ``trace`` names its source."""
+    """``value`` with ``lines`` below it; ``trace`` names its source in the tool tip."""
 
     value: str
     lines: tuple[str, ...] = ()
@@ -177,7 +137,7 @@ class ReportCell:
 
 
 class ReportGrid(QTableWidget):
-    """Table as high as its rows; scrolls sideways. ``chosen`` gets row and column."""
+    """Table as high as its rows; scrolls sideways."""
 
     def __init__(
         self,
@@ -185,12 +145,11 @@ class ReportGrid(QTableWidget):
         name: str,
         columns: Sequence[str],
         rows: Sequence[tuple[str, Sequence[ReportCell]]],
-        chosen: Callable[[int, int], None],
     ) -> None:
         super().__init__(len(rows), len(columns))
         self.setAccessibleName(name)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.setHorizontalScrollMode(QAbstractItemView.ScrollMode.ScrollPerPixel)
         self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setTabKeyNavigation(False)
@@ -211,7 +170,6 @@ class ReportGrid(QTableWidget):
             header.setSectionsClickable(False)
         self.setCornerButtonEnabled(False)
         self.fit_to_theme()
-        self.currentCellChanged.connect(lambda row, column, *_: chosen(row, column))
 
     def fit_to_theme(self) -> None:
         """Adapt the sizes to the font scale."""
@@ -257,17 +215,13 @@ class _CellPainter(QStyledItemDelegate):
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
         look: ReportCell = index.data(Qt.ItemDataRole.UserRole)
         tokens = self._theme.tokens
-        on = bool(option.state & QStyle.StateFlag.State_Selected)
         painter.save()
-        if on:
-            painter.fillRect(option.rect, tokens.colour("selection"))
         room = QRect(option.rect).adjusted(PAD_X, PAD_Y, -PAD_X, -PAD_Y)
         right = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop
         for k, text in enumerate((look.value, *look.lines)):
             font = self._fonts()[min(k, 1)]
             painter.setFont(font)
-            ink = "selection_text" if on else "muted" if k else "text"
-            painter.setPen(tokens.colour(ink))
+            painter.setPen(tokens.colour("muted" if k else "text"))
             painter.drawText(room, int(right), text)
             room.setTop(room.top() + QFontMetrics(font).height())
         painter.restore()

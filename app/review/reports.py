@@ -227,9 +227,11 @@ def _gallery(
         for p in gallery.pictures
     ]
     cards += list(zip(gallery.pictures, own, strict=True))
-    flow = QWidget()
-    FlowLayout(*own, parent=flow)
-    made.append(flow)
+    row = QWidget()
+    flow = FlowLayout(*own, parent=row)
+    for card in own:
+        flow.setAlignment(card, Qt.AlignmentFlag.AlignTop)
+    made.append(row)
     if gallery.end:
         made.append(label(gallery.end, wrap=True))
     return made

@@ -434,7 +434,9 @@ class FlowLayout(QLayout):
             heights = [_height(item, width) for (item, *_), width in zip(line, widths, strict=True)]
             for (item, *_), width, high in zip(line, widths, heights, strict=True):
                 if move:
-                    item.setGeometry(QRect(x, y + (max(heights) - high) // 2, width, high))
+                    at_top = item.alignment() & Qt.AlignmentFlag.AlignTop
+                    below = 0 if at_top else (max(heights) - high) // 2
+                    item.setGeometry(QRect(x, y + below, width, high))
                 x += width + self.spacing()
             y += max(heights) + self.spacing() // 2
         return y - room.y() - (self.spacing() // 2 if lines else 0) + rect.height() - room.height()

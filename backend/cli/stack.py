@@ -14,7 +14,6 @@ from rich.table import Table
 from touchdown.backend import core
 from touchdown.backend.cli import connection, output
 from touchdown.backend.cli.settings import load_method
-from touchdown.backend.config import StackSettings, TowerSettings
 from touchdown.backend.runs import (
     DecisionMode,
     RecordingOptions,
@@ -52,11 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
         help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--below", type=float, nargs=3, metavar=("X", "Y", "SIGMA"),
-        help="of a tower: centre of the touched bottom from that of the one below it, as measured, "
-        "and its standard uncertainty, mm (default: centred, by eye)",
     )  # fmt: skip
     parser.add_argument(
         "--reset-guard", metavar="REASON", help="of fused: restart the comparison of the signals"
@@ -101,7 +95,7 @@ def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
     )
     runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)
-    method = _method(args, request)
+    method = load_method(args.method) if args.method else None
     with connection.open_bench(
         args, screen, keep, method=method, prepare=lambda _: request, campaign=True
     ) as session:
@@ -144,22 +138,6 @@ def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
     screen.result({**_result(request, result, session), "bench": bench})
     placed = [t for t in result.trials if t.outcome is core.Outcome.PLACED]
     return 0 if len(placed) == request.trials and not result.faults else 1
-
-
-def _method(args: argparse.Namespace, request: StackRequest) -> StackSettings | None:
-    """Return the settings with the entered tower; raises ``InputError``."""
-    method = load_method(args.method) if args.method else None
-    if args.below is None:
-        return method
-    x, y, sigma = args.below
-    if len(request.bottoms) != 2 or not sigma > 0.0:
-        raise core.InputError(
-            "This needs a tower of two bottoms and a positive uncertainty.",
-            "--below",
-            "Name both with --bottom LOWER+UPPER; for higher towers use --method.",
-        )
-    tower = TowerSettings(offset_mm=((x, y),), sigma_mm=sigma)
-    return (method or StackSettings()).model_copy(update={"tower": tower})
 
 
 def narrate(fact: core.Event, screen: output.VerbOutput, bench: str = "simulated bench") -> None:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from touchdown.backend.core import Finger, ImageArray, InputError
 from touchdown.backend.emulation import fault_plan
@@ -17,12 +17,6 @@ WrenchFunction = Callable[[float], Sequence[float]]  # time in s -> (6,) N and N
 PictureFunction = Callable[[float], ImageArray | None]  # time in s -> picture, None if no new one
 RequestT = TypeVar("RequestT")
 BenchTables = Mapping[str, Mapping[str, object]]  # tables of a bench file
-
-
-class StreamingSensor(EmulatedDevice, Protocol):
-    """An emulated sensor that streams samples."""
-
-    pace: fault_plan.SampleSchedule
 
 
 class RequestDecoder(Protocol[RequestT]):
@@ -158,7 +152,7 @@ def replace_host(tables: BenchTables, address: str) -> BenchTables:
 
 
 def serve_serial(
-    emulated: Callable[[WrenchFunction], StreamingSensor],
+    emulated: Callable[[WrenchFunction], SerialSensor[Any]],
     choice: EmulationChoice,
     faults: fault_plan.Faults,
     tables: BenchTables | None = None,

@@ -22,7 +22,6 @@ from touchdown.backend.devices.wsg.gcl import GclProtocol
 from touchdown.backend.devices.wsg.protocol import (
     BinaryProtocol,
     GraspState,
-    GripperProtocol,
     SystemFlag,
     WsgCommand,
     WsgReply,
@@ -101,6 +100,7 @@ def link_fault(what: str) -> Fault:
     )
 
 
+GripperProtocol = BinaryProtocol | GclProtocol
 STOPPED, REPLACED = protocols.stopped_fault(NAME), protocols.replaced_fault(NAME)
 NOT_CONNECTED = protocols.not_connected_fault(NAME)
 

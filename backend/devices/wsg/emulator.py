@@ -44,17 +44,9 @@ from touchdown.backend.emulation import (
 )
 
 CLAMPING_TRAVEL_MM = 3.0  # travel of a grasp beyond the nominal width before it fails
-
-
-@dataclass(frozen=True, slots=True)
-class GripperProfile:
-    """Limits of an emulated gripper: mm, mm/s, mm/s², N as the sum over both fingers."""
-
-    kind: int = 0
-    stroke_mm: float = 66.0
-    speed_mm_s: tuple[float, float] = (5.0, 400.0)
-    acceleration_mm_s2: tuple[float, float] = (100.0, 5000.0)
-    force_sum_n: tuple[float, float] = (5.0, 50.0)
+# Limits; forces are the sum over both fingers.
+STROKE_MM, SPEED_MM_S, ACCELERATION_MM_S2 = 66.0, (5.0, 400.0), (100.0, 5000.0)
+FORCE_SUM_N = 5.0, 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +68,10 @@ class JawMotion:
 class EmulatedJaws:
     """Emulated jaws; ``part_mm`` is the width of a part between the fingers, or None."""
 
-    def __init__(self, profile: GripperProfile, part_mm: float | None = None) -> None:
-        self.profile, self.part_mm = profile, part_mm
-        self.width_mm = profile.stroke_mm
-        self.force_limit_n = profile.force_sum_n[0]
+    def __init__(self, part_mm: float | None = None) -> None:
+        self.part_mm = part_mm
+        self.width_mm = STROKE_MM
+        self.force_limit_n = FORCE_SUM_N[0]
         self.state = GraspState.IDLE
         self.flags = SystemFlag(0)
         self.motion: JawMotion | None = None
@@ -98,14 +90,14 @@ class EmulatedJaws:
 
     def accepts(self, width_mm: float) -> bool:
         """Return True for a width within the stroke and the soft limits."""
-        low, high = self.soft_limits_mm or (0.0, self.profile.stroke_mm)
-        return max(low, 0.0) <= width_mm <= min(high, self.profile.stroke_mm)
+        low, high = self.soft_limits_mm or (0.0, STROKE_MM)
+        return max(low, 0.0) <= width_mm <= min(high, STROKE_MM)
 
     def begin(self, now_s: float, command: WsgCommand, target_mm: float, speed_mm_s: float) -> None:
         """Start a motion; the speed is clamped to what the gripper can do."""
-        slowest, fastest = self.profile.speed_mm_s
+        slowest, fastest = SPEED_MM_S
         speed = min(max(speed_mm_s, slowest), fastest)
-        target = min(max(target_mm, 0.0), self.profile.stroke_mm)
+        target = min(max(target_mm, 0.0), STROKE_MM)
         velocity = speed if target >= self.width_mm else -speed
         self.motion = JawMotion(command, self.width_mm, target, now_s, velocity)
         self.flags &= ~(
@@ -192,19 +184,14 @@ class EmulatedWsg:
     """
 
     def __init__(
-        self,
-        profile: GripperProfile | None = None,
-        part_mm: float | None = None,
-        faults: Faults | None = None,
-        *,
-        keeps_grip: bool = True,
+        self, part_mm: float | None = None, faults: Faults | None = None, *, keeps_grip: bool = True
     ) -> None:
         self._keeps_grip = keeps_grip
         self._faults = faults or Faults("gripper")
-        self.jaws = EmulatedJaws(profile or GripperProfile(), part_mm)
+        self.jaws = EmulatedJaws(part_mm)
         self._requests = protocol.requests()
         self._updates: dict[WsgCommand, PeriodicUpdate] = {}
-        self._acceleration_mm_s2 = self.jaws.profile.acceleration_mm_s2[0]
+        self._acceleration_mm_s2 = ACCELERATION_MM_S2[0]
         self._tag = b""
         self._leaving = False
         self._lost_mm: float | None = None
@@ -308,7 +295,7 @@ class EmulatedWsg:
         if command is WsgCommand.HOME:
             if values[0] not in (0, 1, 2):
                 return WsgReply(command, WsgStatus.INVALID_PARAMETER)
-            target_mm = 0.0 if values[0] == 2 else jaws.profile.stroke_mm
+            target_mm = 0.0 if values[0] == 2 else STROKE_MM
             jaws.begin(now_s, command, target_mm, _HOME_SPEED_MM_S)
             return WsgReply(command, refusal)
         *flags, width_mm, speed_mm_s = (float(value) for value in values)
@@ -340,11 +327,11 @@ class EmulatedWsg:
         return WsgStatus.SUCCESS
 
     def _set_acceleration(self, request: WsgRequest) -> None:
-        low, high = self.jaws.profile.acceleration_mm_s2
+        low, high = ACCELERATION_MM_S2
         self._acceleration_mm_s2 = min(max(float(request.values[0]), low), high)
 
     def _set_force_limit(self, request: WsgRequest) -> WsgStatus:
-        low, high = self.jaws.profile.force_sum_n
+        low, high = FORCE_SUM_N
         force_sum_n = float(request.values[0])
         if not low <= force_sum_n <= high:
             return WsgStatus.RANGE_ERROR
@@ -356,7 +343,7 @@ class EmulatedWsg:
 
     def _set_soft_limits(self, request: WsgRequest) -> WsgStatus:
         low, high = (float(value) for value in request.values)
-        if not 0.0 <= low < high <= self.jaws.profile.stroke_mm:
+        if not 0.0 <= low < high <= STROKE_MM:
             return WsgStatus.RANGE_ERROR
         self.jaws.soft_limits_mm = low, high
         return WsgStatus.SUCCESS
@@ -365,7 +352,7 @@ class EmulatedWsg:
         self.jaws.soft_limits_mm = None
 
     def _overdrive(self, request: WsgRequest) -> None:
-        # The overdrive limit of this profile is the nominal force: only the flag changes.
+        # The overdrive limit of this gripper is the nominal force: only the flag changes.
         on = int(request.values[0]) & 1
         self.jaws.flags &= ~SystemFlag.OVERDRIVE_MODE
         self.jaws.flags |= SystemFlag.OVERDRIVE_MODE if on else SystemFlag(0)
@@ -390,8 +377,7 @@ class EmulatedWsg:
 
     def _reading(self, command: int) -> tuple[Number, ...] | None:
         """Return the answer to a reading command; None for other commands."""
-        jaws, profile = self.jaws, self.jaws.profile
-        motion = jaws.motion
+        jaws, motion = self.jaws, self.jaws.motion
         readings: dict[int, tuple[Number, ...]] = {
             WsgCommand.SYSTEM_STATE: (int(jaws.flags),),
             WsgCommand.GRASP_STATE: (int(jaws.state),),
@@ -401,13 +387,13 @@ class EmulatedWsg:
             WsgCommand.TEMPERATURE: (TEMPERATURE_C,),
             WsgCommand.GET_ACCELERATION: (self._acceleration_mm_s2,),
             WsgCommand.GET_FORCE_LIMIT: (jaws.force_limit_n,),
-            WsgCommand.SYSTEM_INFO: (profile.kind, 2, 0x2200, SERIAL),
+            WsgCommand.SYSTEM_INFO: (0, 2, 0x2200, SERIAL),
             WsgCommand.SYSTEM_LIMITS: (
-                profile.stroke_mm,
-                *profile.speed_mm_s,
-                *profile.acceleration_mm_s2,
-                *profile.force_sum_n,
-                profile.force_sum_n[1],
+                STROKE_MM,
+                *SPEED_MM_S,
+                *ACCELERATION_MM_S2,
+                *FORCE_SUM_N,
+                FORCE_SUM_N[1],
             ),
         }
         return readings.get(command)
@@ -588,7 +574,7 @@ class EmulatedGcl:
         distance_mm, speed_mm_s = [*numbers, *(_RELEASE_MM, _SPEED_MM_S)[len(numbers) :]]
         share = 1.0 if self._settings.gcl_release == "width" else 2.0
         jaws = self.gripper.jaws
-        width_mm = min(jaws.width_mm + share * distance_mm, jaws.profile.stroke_mm)
+        width_mm = min(jaws.width_mm + share * distance_mm, STROKE_MM)
         return protocol.release(width_mm, speed_mm_s)
 
     def _ask(self, now_s: float, request: WsgRequest) -> WsgReply:

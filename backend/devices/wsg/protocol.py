@@ -1,8 +1,8 @@
 """Binary protocol of Weiss WSG grippers.
 
 Frames: ``AA AA AA | id | size | payload | crc``, little-endian. Widths are mm, speeds mm/s,
-accelerations mm/s²; every force is the sum over both fingers (N). ``GripperProtocol`` is the
-interface that the text protocol satisfies as well, with the messages of the binary protocol.
+accelerations mm/s²; every force is the sum over both fingers (N). The text
+protocol has the same interface as ``BinaryProtocol``, with the same messages.
 Source: command set reference manual, firmware 2.2.0.
 """
 
@@ -13,7 +13,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from touchdown.backend.devices.framing import (
     FrameStep,
@@ -408,28 +408,6 @@ def _request(command: int, payload: bytes) -> WsgIncoming:
 MAKER = "Weiss Robotics"
 TYPES = {0: "WSG", 1: "WSG 50"}
 DECIMALS = 100
-
-
-class GripperProtocol(Protocol):
-    """Protocol of one connection."""
-
-    @property
-    def bad_frames(self) -> int:
-        """Number of invalid messages so far."""
-
-    def encode(self, requests: Iterable[WsgRequest]) -> bytes:
-        """Return the bytes of these requests, in their order."""
-
-    def take(self, data: bytes) -> list[WsgReply]:
-        """Return the replies that ``data`` completes, oldest first."""
-
-    def due(self, now_s: float) -> bytes:
-        """Return the bytes that are due by time."""
-
-    def identity(self, told: WsgReply, address: str) -> Identity:
-        """Return the identity from the reply to SYSTEM_INFO; ``address`` replaces a missing
-        number.
-        """
 
 
 class BinaryProtocol:

@@ -103,15 +103,6 @@ def test_garbage_is_no_journal(tmp_path, capsys) -> None:
     assert "before it" not in said
 
 
-@pytest.mark.parametrize(
-    "words", [["--bottom", "short"], ["--bottom", "short+long", "--below", "1", "0", "0"]]
-)
-def test_an_entry_below_needs_a_tower_and_an_uncertainty(words, capsys) -> None:
-    entry = [] if "--below" in words else ["--below", "1", "0", "0.5"]
-    assert main(["stack", *words, *entry]) == 2
-    assert "--below" in capsys.readouterr().err
-
-
 @pytest.fixture
 def verb(monkeypatch):
     """Let the verb `stack` do what the test says."""

@@ -21,7 +21,7 @@ from touchdown.backend.devices.framing import crc_wsg
 from touchdown.backend.devices.leptrino.emulator import EmulatedLeptrino
 from touchdown.backend.devices.wsg import driver, protocol
 from touchdown.backend.devices.wsg.driver import WsgGripper
-from touchdown.backend.devices.wsg.emulator import EmulatedGcl, EmulatedWsg, GripperProfile
+from touchdown.backend.devices.wsg.emulator import FORCE_SUM_N, EmulatedGcl, EmulatedWsg
 from touchdown.backend.devices.wsg.protocol import (
     GraspState,
     SystemFlag,
@@ -76,9 +76,7 @@ class OverTheWire(GripperBench):
     def __init__(self, **settings):
         faults = Faults("gripper")
         wsg = WsgSettings(**settings)
-        self.emulated = EmulatedWsg(
-            GripperProfile(stroke_mm=40.0), PART_MM, faults, keeps_grip=wsg.keeps_grip_after_07
-        )
+        self.emulated = EmulatedWsg(PART_MM, faults, keeps_grip=wsg.keeps_grip_after_07)
         text = wsg.protocol == "gcl"
         mouth = EmulatedGcl(self.emulated, wsg) if text else self.emulated
         self.front = TcpServer(mouth, faults=faults)
@@ -124,7 +122,7 @@ class OverTheLink(OverTheWire):
         self._rig.close()
 
 
-BINARY, TEXT = OverTheWire, partial(OverTheWire, protocol="gcl", stroke_mm=40.0)
+BINARY, TEXT = OverTheWire, partial(OverTheWire, protocol="gcl")
 WIRED = {"wsg": BINARY, "wsg text": TEXT, "wsg over the link": OverTheLink}
 EVERY = {"simulated": Simulated, **WIRED}
 
@@ -267,13 +265,20 @@ def test_a_link_lost_while_holding_waits_for_the_operator(wired):
     assert wired.gripper.status().holding
 
 
+def test_the_limits_of_the_gripper_replace_those_of_the_settings():
+    wired = OverTheWire(force_max_n=20.0)
+    wired.connect()
+    assert wired.gripper.describe()["most_force_n"] == pytest.approx(0.5 * FORCE_SUM_N[1])
+    wired.close()
+
+
 @pytest.mark.promise("G1")
 def test_readings_go_on_and_a_lost_piece_is_seen(wired):
     wired.connect()
     finish(wired, wired.gripper.grip(10.0))
     before = wired.gripper.health.received
     until(lambda: wired.gripper.health.received > before + 5)
-    most_n = 0.5 * wired.emulated.jaws.profile.force_sum_n[1]
+    most_n = 0.5 * FORCE_SUM_N[1]
     assert wired.gripper.describe()["most_force_n"] == pytest.approx(most_n)
     wired.emulated.jaws.part_mm = None
     until(lambda: not wired.gripper.status().holding)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 
 from pydantic import ValidationError
@@ -13,8 +13,7 @@ from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
-from touchdown.backend.config import LimitSettings
-from touchdown.backend.devices import Limits
+from touchdown.backend.config import Limits
 from touchdown.backend.runs import changed_limits
 from touchdown.widgets.base import label, rule, tr
 from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
@@ -179,10 +178,9 @@ class LimitsPresenter:
 
     def _offer(self, values: Mapping[str, float]) -> str:
         """Ask for confirmation of ``values``; return why they cannot be applied, "" if they can."""
-        held = asdict(self._bench.interlock.limits)
+        held = self._bench.interlock.limits.model_dump()
         try:
-            settings = LimitSettings(**{n: entered_limit(n, v, held[n]) for n, v in values.items()})
-            wanted = Limits(**settings.model_dump())
+            wanted = Limits(**{n: entered_limit(n, v, held[n]) for n, v in values.items()})
         except ValidationError as error:
             return limit_problem(error)
         pairs = changed_limits(self._bench.interlock.limits, wanted)
@@ -211,7 +209,7 @@ class LimitsPresenter:
 
 def limit_rows(limits: Limits) -> list[LimitRow]:
     """Return all limits with units."""
-    values = asdict(limits)
+    values = limits.model_dump()
     return [
         LimitRow(name, title, displayed_limit(name, values[name]), unit_suffix(limit_unit(name)))
         for name, title in TITLES.items()

@@ -22,7 +22,6 @@ from touchdown.backend.calibration import (
 )
 from touchdown.backend.config import Lab, StackSettings, load_lab
 from touchdown.backend.core import BenchClock, InputError, RawStreams, raised_priority
-from touchdown.backend.devices import Limits
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
 from touchdown.backend.learning import ModelRegistry
 from touchdown.backend.rig import LATE_S, BenchConnection, BenchDevices, FlightRecorder
@@ -204,8 +203,7 @@ class _LabBench:
         session.calibrations = store = calibrations_of(self._lab)
         session.events.subscribe(store.gels.take)
         connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
-        limits = Limits(**settings.limits.model_dump())
-        session.join(connection, settings.name, limits, str(self._lab.path))
+        session.join(connection, settings.name, settings.limits, str(self._lab.path))
         return connection
 
     def make_stage(self, choice: SceneChoice, raw: RawStreams) -> SceneDevices:

@@ -13,14 +13,14 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import CalibrationStore, DayChecks, calibrated_positions
-from touchdown.backend.config import BenchDescription, BenchIdentity, StackSettings
+from touchdown.backend.config import BenchDescription, BenchIdentity, Limits, StackSettings
 from touchdown.backend.core import (
     FINGERS,
     FRAME_CAPACITY,
@@ -56,7 +56,6 @@ from touchdown.backend.devices import (
     GuardedGripper,
     Interlock,
     JogSurroundings,
-    Limits,
     Supervision,
     refuse_degraded,
 )
@@ -567,7 +566,7 @@ class Session:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
         refuse_beyond_limits(self.method, self.interlock.limits)
         refuse_beyond_gripper(self.method, self.devices.get("gripper"))
-        return {**self._check(choice), "limits": asdict(self.interlock.limits)}
+        return {**self._check(choice), "limits": self.interlock.limits.model_dump()}
 
     def open_record(self) -> None:
         """Open event log and episode store of the run; raises ``InputError``."""

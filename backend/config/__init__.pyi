@@ -14,7 +14,7 @@ from .hardware import UrSettings as UrSettings
 from .hardware import WsgSettings as WsgSettings
 from .lab import Lab as Lab
 from .lab import LabSettings as LabSettings
-from .lab import LimitSettings as LimitSettings
+from .lab import Limits as Limits
 from .lab import is_lab_file as is_lab_file
 from .lab import is_loopback as is_loopback
 from .lab import load_lab as load_lab

@@ -108,7 +108,7 @@ LabKind = Literal["hardware", "emulated"]
 LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
 
 
-class LimitSettings(Settings):
+class Limits(Settings):
     """Limits of motion and force in the bench frame; commands beyond them are refused.
 
     The workspace is the part of the box within ``reach_mm`` of its vertical axis.
@@ -140,7 +140,7 @@ class LimitSettings(Settings):
     frame_age_s: Age = 0.5
 
     @model_validator(mode="after")
-    def _in_order(self) -> LimitSettings:
+    def _in_order(self) -> Limits:
         for low, high in ORDERED_LIMITS:
             if not getattr(self, low) <= getattr(self, high):
                 raise ValueError(f"'{low}' is above '{high}'")
@@ -192,7 +192,7 @@ class LabSettings(HardwareSettings):
     bottom: str = "short"  # on the bench at the start; bottom-up and joined by + for a tower
     calibrations: str = "calibrations"  # folder of the calibrations, relative to this file
     daily_check: bool = False  # ask before each release on a day without a daily check
-    limits: LimitSettings = LimitSettings()
+    limits: Limits = Limits()
     mounting: MountingSettings = MountingSettings()
     serials: SerialNumbers = SerialNumbers()
 

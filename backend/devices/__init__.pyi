@@ -12,7 +12,6 @@ from .interlock import UNLOADED_N as UNLOADED_N
 from .interlock import ByHand as ByHand
 from .interlock import Interlock as Interlock
 from .interlock import JigEvidence as JigEvidence
-from .interlock import Limits as Limits
 from .interlock import ReleaseAuthorisation as ReleaseAuthorisation
 from .interlock import ReleaseEvidence as ReleaseEvidence
 from .interlock import jig_refusal as jig_refusal

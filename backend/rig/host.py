@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from touchdown.backend.config import Limits
 from touchdown.backend.core import Fault, FaultError, Samples, SampleStream, TouchdownError
 from touchdown.backend.devices import (
     Arm,
@@ -22,7 +23,6 @@ from touchdown.backend.devices import (
     ForceTorqueSensor,
     Gripper,
     HomingGripper,
-    Limits,
     Motion,
     RetreatingArm,
     TracedArm,

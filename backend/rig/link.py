@@ -18,7 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from touchdown.backend.config import HardwareSettings
+from touchdown.backend.config import HardwareSettings, Limits
 from touchdown.backend.core import (
     Fault,
     FaultError,
@@ -27,7 +27,7 @@ from touchdown.backend.core import (
     request_short_slices,
     set_realtime_priority,
 )
-from touchdown.backend.devices import CommandedMotion, Interlock, Limits
+from touchdown.backend.devices import CommandedMotion, Interlock
 from touchdown.backend.rig.memory import (
     BACKEND_BEAT,
     RIG_BEAT,
@@ -158,7 +158,7 @@ class RigLink:
                 "settings": self._settings.model_dump(
                     mode="json", include=set(HardwareSettings.model_fields)
                 ),
-                "limits": asdict(self._limits),
+                "limits": self._limits.model_dump(),
                 "begun_s": time.monotonic() - self._now_s(),
                 "memory": str(path),
             }
@@ -328,7 +328,7 @@ class RigLink:
                 self._forward_reset(channel)
                 if (limits := self._interlock.limits) is not self._limits:
                     self._limits = limits
-                    channel.say({"kind": "limits", "limits": asdict(limits)})
+                    channel.say({"kind": "limits", "limits": limits.model_dump()})
             now_s = time.monotonic()
             if memory.count(RIG_BEAT) != beats:
                 beats, beat_s = memory.count(RIG_BEAT), now_s

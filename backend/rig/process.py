@@ -20,14 +20,14 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
-from touchdown.backend.config import HardwareSettings
+from touchdown.backend.config import HardwareSettings, Limits
 from touchdown.backend.core import (
     InputError,
     SampleStream,
     request_short_slices,
     set_realtime_priority,
 )
-from touchdown.backend.devices import Limits, make_arm, make_force_torque, make_gripper
+from touchdown.backend.devices import make_arm, make_force_torque, make_gripper
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.memory import SharedMemory, attach
 from touchdown.backend.rig.messages import Channel, Message, ParentProcess, error_row, pack, receive

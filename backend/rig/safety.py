@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple, dataclass
 from typing import Any
 
+from touchdown.backend.config import Limits
 from touchdown.backend.core import Fault, Pose, RefusedError
 from touchdown.backend.devices import (
     LEASE_S,
@@ -30,7 +31,6 @@ from touchdown.backend.devices import (
     Gripper,
     HomingGripper,
     JigEvidence,
-    Limits,
     Motion,
     PressCommand,
     ReleaseAuthorisation,

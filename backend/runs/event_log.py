@@ -14,7 +14,6 @@ import math
 import types
 import typing
 from collections.abc import Iterator
-from dataclasses import asdict
 from datetime import UTC, datetime
 from enum import Enum
 from functools import cache
@@ -23,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend.config import Limits
 from touchdown.backend.core import (
     DISK_TIMEOUT_S,
     Event,
@@ -35,7 +35,6 @@ from touchdown.backend.core import (
     parse_json,
     sync_folder,
 )
-from touchdown.backend.devices import Limits
 
 FORMAT = 1
 # Events are recorded under the names of their classes.
@@ -213,7 +212,7 @@ LIMIT_LOG_NAME = "limits.jsonl"
 
 def changed_limits(before: Limits, after: Limits) -> dict[str, tuple[float, float]]:
     """Return (before, after) of each limit that differs, by name."""
-    old, new = asdict(before), asdict(after)
+    old, new = before.model_dump(), after.model_dump()
     return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 

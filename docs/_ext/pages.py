@@ -25,7 +25,7 @@ from pydantic import BaseModel
 
 import touchdown
 from touchdown.backend.cli.command_line import VERBS, parser_of
-from touchdown.backend.config import HardwareSettings, LimitSettings, SimulationSettings
+from touchdown.backend.config import HardwareSettings, Limits, SimulationSettings
 from touchdown.backend.config import StackSettings as Method
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -48,7 +48,7 @@ SETTINGS = {
     "Simulated bench": (SimulationSettings, "A bench file (``--bench FILE``) sets them. Defaults "
                         "are those of preset ``mixed``. [U]: not confirmed on hardware."),
     "Lab file, devices": (HardwareSettings, "One table a device; see :doc:`../hardware`."),
-    "Lab file, limits": (LimitSettings, "Table ``limits`` of a lab file."),
+    "Lab file, limits": (Limits, "Table ``limits`` of a lab file."),
 }  # fmt: skip
 LINK = re.compile(r"(!?\[[^\]]*\])\(([^)#\s]+)(#[^)\s]+)?\)")
 

@@ -1,7 +1,6 @@
 """The Connect panel and the limits: every step shown, nothing changed without a second word."""
 
 import math
-from dataclasses import replace
 
 import pytest
 from PySide6.QtWidgets import QApplication
@@ -12,9 +11,10 @@ from tests.backend.rig.scripted import LINES, held, scripted
 from touchdown.app.connect.limits import TITLES, limit_rows, limit_unit
 from touchdown.app.connect.presenter import device_row
 from touchdown.app.shell.bench_text import bench_caption
+from touchdown.backend.config import Limits
 from touchdown.backend.config.bench_description import BenchDescription
 from touchdown.backend.core.faults import Fault, RefusedError
-from touchdown.backend.devices import DeviceState, Identity, Limits
+from touchdown.backend.devices import DeviceState, Identity
 from touchdown.backend.rig.connection import BenchConnection, DeviceStatus
 from touchdown.backend.runs.requests import SceneChoice
 
@@ -211,7 +211,7 @@ def test_after_stop_nothing_is_connected_before_reset(lab, bench):
 
 
 def test_every_limit_is_shown_with_its_unit():
-    assert {row.name for row in limit_rows(Limits())} == {*Limits.__dataclass_fields__}
+    assert {row.name for row in limit_rows(Limits())} == {*Limits.model_fields}
     assert [limit_unit(n) for n in ("trip_nm", "trip_n", "jog_mm_s", "turn_rad_s", "tilt_rad")] == [
         "N\N{MIDDLE DOT}m", "N", "mm/s", "\N{DEGREE SIGN}/s", "\N{DEGREE SIGN}",
     ]  # fmt: skip
@@ -238,7 +238,7 @@ def test_limits_are_locked_and_change_on_the_second_word_only(lab, bench):
     assert bench.interlock.limits == Limits()
     sheet.take.click()
     sheet.question.yes.click()
-    assert bench.interlock.limits == replace(Limits(), press_n=20.0)
+    assert bench.interlock.limits == Limits(press_n=20.0)
     assert "changed at" in sheet.source.text()
     assert not sheet.take.isEnabled()
 
@@ -267,7 +267,7 @@ def test_what_turns_is_read_and_written_in_degrees(lab, bench):
     )
     sheet.question.yes.click()
     # The speed of turning, whose digits no box shows, is not touched by it.
-    assert bench.interlock.limits == replace(Limits(), tilt_rad=math.radians(10.0))
+    assert bench.interlock.limits == Limits(tilt_rad=math.radians(10.0))
 
 
 def test_limits_stay_while_something_moves(lab, bench):

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from itertools import islice
@@ -20,16 +19,10 @@ from touchdown.backend.bench.laboratory import (
 )
 from touchdown.backend.calibration.records import DeviceName
 from touchdown.backend.cli.doctor.command import lab_checks
-from touchdown.backend.config import (
-    HardwareSettings,
-    LimitSettings,
-    is_lab_file,
-    load_lab,
-    save_lab,
-)
+from touchdown.backend.config import HardwareSettings, Limits, is_lab_file, load_lab, save_lab
 from touchdown.backend.config.lab import LAB_FILE_VERSION, edit_toml
 from touchdown.backend.core.faults import InputError, RefusedError
-from touchdown.backend.devices import DeviceState, Limits
+from touchdown.backend.devices import DeviceState
 from touchdown.backend.runs.recorder import RecordingOptions
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
 
@@ -58,16 +51,12 @@ def test_the_template_is_a_lab_file_of_real_devices():
     lab = load_lab(BENCHES / "lab.toml")
     assert lab.settings.kind == lab.facts.mode == "hardware"
     assert lab.calibrations == BENCHES / "calibrations"
-    assert lab.settings.limits == LimitSettings()
+    assert lab.settings.limits == Limits()
 
 
 def test_lab_files_and_simulated_benches_are_told_apart():
     found = {path.name: is_lab_file(path) for path in BENCHES.glob("*.toml")}
     assert [name for name, lab in found.items() if lab] == ["lab.toml"]
-
-
-def test_the_limits_of_the_file_are_those_of_the_interlock():
-    assert LimitSettings().model_dump() == asdict(Limits())
 
 
 @pytest.mark.parametrize("version", [LAB_FILE_VERSION + 1, 0, -1, '"1"', "true", None])

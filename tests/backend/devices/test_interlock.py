@@ -231,7 +231,7 @@ def test_the_override_keeps_its_range_and_starts_at_full_speed() -> None:
 
 @pytest.mark.promise("G8")
 def test_the_box_ends_room_and_targets_before_the_reach_does():
-    limits = dataclasses.replace(Limits(), most_x_mm=40.0, least_y_mm=-30.0)
+    limits = Limits(most_x_mm=40.0, least_y_mm=-30.0)
     here = Pose(10.0, -10.0, 50.0)
     assert distance_to_limit_mm(here, (1.0, 0.0, 0.0), limits) == pytest.approx(30.0)
     assert distance_to_limit_mm(here, (0.0, -1.0, 0.0), limits) == pytest.approx(20.0)

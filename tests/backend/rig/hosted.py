@@ -7,8 +7,9 @@ import pytest
 
 from tests.backend.devices.melfa.emulated_arm import Rig
 from tests.backend.rig.scripted import ScriptedDevice
+from touchdown.backend.config import Limits
 from touchdown.backend.core.faults import RefusedError
-from touchdown.backend.devices import CommandedMotion, DeviceState, GripStatus, Limits
+from touchdown.backend.devices import CommandedMotion, DeviceState, GripStatus
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.memory import BACKEND_BEAT, STOPS, drop, make
 from touchdown.backend.rig.messages import read_error, read_fault

@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
-from touchdown.backend.config import ProbeSettings, SimulationSettings, StackSettings
+from touchdown.backend.config import Limits, ProbeSettings, SimulationSettings, StackSettings
 from touchdown.backend.core import FINGERS, Event, FloatArray
-from touchdown.backend.devices import Arm, Limits
+from touchdown.backend.devices import Arm
 from touchdown.backend.runs import Bench, Plan, SceneChoice
 from touchdown.backend.simulation.conditions import true_offset_mm
 from touchdown.backend.simulation.gripper import HeldPiece
@@ -36,7 +36,9 @@ class BlindBench:
         settings = SimulationSettings.model_validate(given)
         session = simulated_session(SimulatedBenchChoice(given=settings), method=BRISK)
         self._session, self.interlock = session, session.interlock
-        self.interlock.limits = Limits(contact_speed_mm_s=4.0, frame_age_s=1e6)
+        self.interlock.limits = Limits(contact_speed_mm_s=4.0).model_copy(
+            update={"frame_age_s": 1e6}
+        )
         self.facts: list[Event] = []
         session.events.subscribe(self.facts.append)
         make = session._make_stage

@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +20,7 @@ from tests.backend.bench.brisk import brisk_method, on
 from tests.backend.runs.oracle_bench import Oracle, OracleSession, request
 from touchdown.backend.annotations import storage
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config import Limits
 from touchdown.backend.config.method import (
     FusedSettings,
     PolicySettings,
@@ -48,7 +48,7 @@ from touchdown.backend.core.events import (
 )
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.core.values import ContactPatch, Episode, Outcome
-from touchdown.backend.devices import ArmPress, CommandedMotion, JogOrder, Limits, PressCommand
+from touchdown.backend.devices import ArmPress, CommandedMotion, JogOrder, PressCommand
 from touchdown.backend.devices.melfa.faults import VOID
 from touchdown.backend.episodes.episode_mcap import read_episode
 from touchdown.backend.rig.safety import LAPSED
@@ -356,7 +356,7 @@ def test_each_fact_is_on_the_disk_before_the_next_one(tmp_path, monkeypatch):
     assert synced == [1, 2, 3, 4]
 
 
-LOWER = replace(Limits(), jog_mm_s=30.0)
+LOWER = Limits(jog_mm_s=30.0)
 
 
 @pytest.fixture
@@ -379,7 +379,9 @@ def test_a_change_holds_from_now_on_and_is_said_and_logged(session, tmp_path):
     assert "anna" in said[0].text
     with pytest.raises(RefusedError, match=r"40\.0 mm/s"):
         session.hand.jog.renew(JogOrder(1, 1, session.clock_s(), "z", "XYZ", 40.0))
-    log_limit_change(tmp_path / "runs", "Bench 2", "ben", LOWER, replace(LOWER, press_n=20.0))
+    log_limit_change(
+        tmp_path / "runs", "Bench 2", "ben", LOWER, LOWER.model_copy(update={"press_n": 20.0})
+    )
     log = (tmp_path / "runs" / LIMIT_LOG_NAME).read_text().splitlines()
     first, second = map(json.loads, log)
     assert (first["person"], first["changed"]) == ("anna", {"jog_mm_s": [50.0, 30.0]})

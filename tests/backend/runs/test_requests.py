@@ -13,6 +13,7 @@ import pytest
 from tests.backend.bench.brisk import brisk_bench, brisk_method, brisk_settings
 from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.connection import parse_outcome
+from touchdown.backend.config import Limits
 from touchdown.backend.config.method import StackSettings, TowerSettings
 from touchdown.backend.core.events import (
     Event,
@@ -30,7 +31,7 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, InputError, RefusedError
 from touchdown.backend.core.rotations import pose_rotation, rotation_vector, tilt_rad
 from touchdown.backend.core.values import FINGERS, Outcome, Pose
-from touchdown.backend.devices import LEASE_S, JogOrder, Limits
+from touchdown.backend.devices import LEASE_S, JogOrder
 from touchdown.backend.devices.interlock import refuse_place, refuse_turning, turned_descent_mm
 from touchdown.backend.devices.jog import JOINTS, TOOL_SIGNS, TURNS, direction_of
 from touchdown.backend.geometry import Tower, judge_tower, load_pieces
@@ -528,7 +529,7 @@ def bare():
     for finger in FINGERS:
         # No picture is drawn that nobody looks at, and nobody waits for one.
         made.devices[f"tactile_{finger}"].close()
-    made.interlock.limits = replace(made.interlock.limits, frame_age_s=1e6)
+    made.interlock.limits = made.interlock.limits.model_copy(update={"frame_age_s": 1e6})
     turn(made, 0.3)
     return made
 

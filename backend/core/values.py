@@ -14,6 +14,7 @@ tool, so that Fz > 0 while pressing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
@@ -21,6 +22,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from touchdown.backend.core.faults import InputError
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -32,10 +35,40 @@ MARKERS = GRID_ROWS * GRID_COLS
 TACTILE_CHANNELS = 2 * 2 * MARKERS
 WRENCH_CHANNELS = 6
 CHANNELS = TACTILE_CHANNELS + WRENCH_CHANNELS
+TICKS = 20  # of an episode
 
 
 def read_only(array: NDArray[np.generic]) -> None:
     """Make ``array`` read-only, as the arrays of every value type are."""
+    array.flags.writeable = False
+
+
+class BadValueError(InputError, ValueError):
+    """Content that a value type cannot hold; readers of files report it as damage of the file."""
+
+
+def _require(valid: bool, where: str, what: str, fix: str) -> None:
+    if not valid:
+        raise BadValueError(f"{where} {what}.", where, fix)
+
+
+def _freeze(where: str, array: NDArray[np.generic], *shape: int | str, kinds: str = "fiu") -> None:
+    """Make ``array`` read-only; raise ``InputError`` unless its shape and kind of dtype fit.
+
+    A text in ``shape`` stands for any length.
+    """
+    if not isinstance(array, np.ndarray):
+        _require(False, where, f"is a {type(array).__name__}, no array", "Give a numpy array.")
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(n != m for n, m in zip(array.shape, shape, strict=True) if isinstance(m, int))
+    ):
+        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+        fix = f"Give an array of shape {wanted}."
+        _require(False, where, f"has shape {array.shape}, not {wanted}", fix)
+    if array.dtype.kind not in kinds:
+        kind = {"u": "uint8", "b": "bool"}.get(kinds, "float64")
+        _require(False, where, f"holds {array.dtype}, not {kind}", f"Convert it to {kind}.")
     array.flags.writeable = False
 
 
@@ -117,7 +150,7 @@ class TactileFrame:
     made = True  # False for a ``LazyFrame`` that nobody has read
 
     def __post_init__(self) -> None:
-        read_only(self.image)
+        read_only(self.image)  # the tracker gives an unusable image quality 0
 
 
 class LazyFrame(TactileFrame):
@@ -186,8 +219,9 @@ class MarkerField:
     residual_px: float = 0.0
 
     def __post_init__(self) -> None:
-        for array in (self.position_px, self.displacement_px, self.state):
-            read_only(array)
+        _freeze("MarkerField.position_px", self.position_px, MARKERS, 2)
+        _freeze("MarkerField.displacement_px", self.displacement_px, MARKERS, 2)
+        _freeze("MarkerField.state", self.state, MARKERS, kinds="u")
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +241,7 @@ class ScenePicture:
     image: ImageArray
 
     def __post_init__(self) -> None:
-        read_only(self.image)
+        _freeze("ScenePicture.image", self.image, "rows", "columns", 3, kinds="u")
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,11 +285,15 @@ class Recording:
     command_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        for array in (
-            self.wrench_t_s, self.wrench, self.pose_t_s, self.pose_mm, self.tare,
-            self.command_t_s, self.command_mm,
-        ):  # fmt: skip
-            read_only(array)
+        for times, name, width in (
+            ("wrench_t_s", "wrench", WRENCH_CHANNELS),
+            ("pose_t_s", "pose_mm", 3),
+            ("command_t_s", "command_mm", 3),
+        ):
+            t_s: FloatArray = getattr(self, times)
+            _freeze(f"Recording.{times}", t_s, "samples")
+            _freeze(f"Recording.{name}", getattr(self, name), len(t_s), width)
+        _freeze("Recording.tare", self.tare, WRENCH_CHANNELS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,8 +376,10 @@ class Episode:
     metadata: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        read_only(self.observation)
-        read_only(self.offset_mm)
+        _freeze("Episode.observation", self.observation, TICKS, CHANNELS)
+        _freeze("Episode.offset_mm", self.offset_mm, 2)
+        finite = not self.quality.accepted or bool(np.isfinite(self.offset_mm).all())
+        _require(finite, "Episode.offset_mm", "is not finite", "Give the position in mm.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +393,7 @@ class ContactPatch:
     points_mm : ndarray, shape (N, 2), float64
         Lattice points of the face in ``F``, mm.
     probability : ndarray, shape (N,), float64
-        Contact probability of each point, 0 to 1.
+        Contact probability of each point, 0 to 1; NaN if the model gives none.
 
     Examples
     --------
@@ -367,8 +407,11 @@ class ContactPatch:
     probability: FloatArray
 
     def __post_init__(self) -> None:
-        read_only(self.points_mm)
-        read_only(self.probability)
+        _freeze("ContactPatch.points_mm", self.points_mm, "points", 2)
+        p, where = self.probability, "ContactPatch.probability"
+        _freeze(where, p, len(self.points_mm))
+        share = not bool(((p < 0.0) | (p > 1.0)).any())
+        _require(share, where, "is not within 0 to 1", "NaN stands for no estimate.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -408,8 +451,12 @@ class BeliefMap:
     probes: int
 
     def __post_init__(self) -> None:
-        read_only(self.log_odds)
-        read_only(self.covered)
+        _freeze("BeliefMap.log_odds", self.log_odds, "rows", "columns")
+        _freeze("BeliefMap.covered", self.covered, *self.log_odds.shape, kinds="b")
+        numbers = not bool(np.isnan(self.log_odds).any())
+        _require(numbers, "BeliefMap.log_odds", "holds NaN", "Give 0 where nothing is known.")
+        where = "BeliefMap.pitch_mm"
+        _require(self.pitch_mm > 0, where, "is not positive", "Give the distance of cells in mm.")
 
     @property
     def probability(self) -> FloatArray:
@@ -473,7 +520,9 @@ class Stability:
     source: Literal["belief", "patch"]
 
     def __post_init__(self) -> None:
-        read_only(self.hull_mm)
+        _freeze("Stability.hull_mm", self.hull_mm, "vertices", 2)
+        judged = not (self.stable and math.isnan(self.margin_mm))
+        _require(judged, "Stability.stable", "is True without a margin", "NaN is never stable.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -561,5 +610,5 @@ class Fall:
     names: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        read_only(self.t_s)
-        read_only(self.pose)
+        _freeze("Fall.t_s", self.t_s, "frames")
+        _freeze("Fall.pose", self.pose, len(self.t_s), "bodies", 7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,11 +16,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.backend.simulation.one_press import CASES, RMS_LIMIT_PX, press_both_ways
-from touchdown.backend.core.faults import StaleSampleError
+from touchdown.backend.core.faults import InputError, StaleSampleError
 from touchdown.backend.core.scheduling import NICENESS, RepaintHold
 from touchdown.backend.core.stalled_processes import STALLED_AFTER_S, ProcessStallDetector
 from touchdown.backend.core.streams import SampleStream, Stream
-from touchdown.backend.core.values import TACTILE_CHANNELS, BeliefMap, ContactPatch, TactileFrame
+from touchdown.backend.core.values import (
+    TACTILE_CHANNELS,
+    BeliefMap,
+    ContactPatch,
+    Episode,
+    EpisodeQuality,
+    MarkerField,
+    Recording,
+    Stability,
+    SupportKind,
+    TactileFrame,
+)
 
 
 def test_arrays_of_values_are_read_only():
@@ -31,6 +43,64 @@ def test_arrays_of_values_are_read_only():
     frame = TactileFrame("left", 0, 0.0, np.zeros((240, 320, 3), np.uint8))
     with pytest.raises(ValueError, match="read-only"):
         frame.image[:] = 1
+
+
+def zeros(*shape: int) -> np.ndarray:
+    return np.zeros(shape)
+
+
+OBSERVATION, OFFSET, GOOD = np.zeros((20, 258), np.float32), np.zeros(2), EpisodeQuality(True)
+SEEN, CELLS = np.zeros(63, np.uint8), np.zeros((2, 3), bool)
+WRONG = {
+    "ContactPatch.probability has shape (4,), not (3,)": lambda: ContactPatch(
+        zeros(3, 2), zeros(4)
+    ),
+    "ContactPatch.points_mm has shape (3,)": lambda: ContactPatch(zeros(3), zeros(3)),
+    "ContactPatch.points_mm is a list": lambda: ContactPatch([[0.0, 0.0]], zeros(1)),
+    "ContactPatch.probability is not within": lambda: ContactPatch(zeros(2, 2), np.array([0, 1.1])),
+    "ContactPatch.probability is not": lambda: ContactPatch(zeros(1, 2), np.array([-0.1])),
+    "BeliefMap.covered has shape": lambda: BeliefMap(zeros(3, 3), CELLS, (0.0, 0.0), 1.0, 0),
+    "BeliefMap.covered holds": lambda: BeliefMap(zeros(2, 3), zeros(2, 3), (0.0, 0.0), 1.0, 0),
+    "BeliefMap.log_odds holds NaN": lambda: BeliefMap(
+        np.full((2, 3), np.nan), CELLS, (0.0, 0.0), 1.0, 0
+    ),
+    "BeliefMap.pitch_mm is not pos": lambda: BeliefMap(zeros(2, 3), CELLS, (0.0, 0.0), np.nan, 0),
+    "Episode.observation has shape": lambda: Episode("0", "pot", zeros(19, 258), OFFSET, 0.0, GOOD),
+    "Episode.offset_mm has shape": lambda: Episode("0", "pot", OBSERVATION, zeros(3), 0.0, GOOD),
+    "Episode.offset_mm is not finite": lambda: Episode(
+        "0", "pot", OBSERVATION, np.array([0.0, np.nan]), 0.0, GOOD
+    ),
+    "MarkerField.position_px has": lambda: MarkerField(
+        "left", 0, 0.0, zeros(62, 2), zeros(63, 2), SEEN, 1.0
+    ),
+    "MarkerField.state holds float64, not uint8": lambda: MarkerField(
+        "left", 0, 0.0, zeros(63, 2), zeros(63, 2), zeros(63), 1.0
+    ),
+    "Recording.wrench has shape (5, 6), not (4, 6)": lambda: Recording(
+        zeros(4), zeros(5, 6), (), (), zeros(0), zeros(0, 3), zeros(6)
+    ),
+    "Stability.stable is True without": lambda: Stability(
+        True, np.nan, SupportKind.AREA, zeros(3, 2), (0.0, 0.0), "belief"
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_value_refuses_content_that_it_cannot_hold(what: str) -> None:
+    """A script sees the field, its shape and the one that is needed, not an error far away."""
+    with pytest.raises(InputError, match=re.escape(what)) as refused:
+        WRONG[what]()
+    assert refused.value.where == what.split()[0]
+    assert refused.value.fix
+    assert isinstance(refused.value, ValueError)  # damage of a file, for its reader
+
+
+def test_a_value_keeps_what_was_not_measured() -> None:
+    """NaN stays a value where the bench could not measure, and where a model gives no estimate."""
+    assert np.isnan(ContactPatch(zeros(1, 2), np.array([np.nan])).probability).all()
+    unusable = EpisodeQuality(False, ("no signal",))
+    nothing = np.full((20, 258), np.nan, np.float32)
+    assert Episode("0", "pot", nothing, np.full(2, np.nan), 0.0, unusable).observation.shape
 
 
 def test_belief_cells_and_probabilities():

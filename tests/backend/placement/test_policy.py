@@ -307,11 +307,10 @@ def test_support_beside_the_piece_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("source", ["belief", "patch"])
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -0.5])
-def test_no_number_is_no_estimate_and_never_stable(source: str, bad: float) -> None:
+def test_no_number_is_no_estimate_and_never_stable(source: str) -> None:
     good = patch_of({(x, y) for x, y in lattice()})
     p = good.probability.copy()
-    p[7] = bad
+    p[7] = math.nan
     broken = ContactPatch(good.points_mm, p)
     here, centred, how = STABILITY_HERE, (0.0, 0.0), StabilitySettings(judge_from=source)
     belief = Belief.unknown(BeliefSettings(), here).updated(good, here).updated(broken, here)

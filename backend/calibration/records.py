@@ -32,6 +32,7 @@ from touchdown.backend.core import (
     CalibrationMeasured,
     InputError,
     RefusedError,
+    check_writable,
     disk_errors,
     parse_json,
     write_atomically,
@@ -39,6 +40,7 @@ from touchdown.backend.core import (
 
 VERSION = 1
 MAX_CHARACTERS = 1_000_000
+UNWRITABLE_FIX = "Make room, or name a folder that can be written."
 Mode = Literal["simulated", "emulated", "hardware"]
 
 
@@ -248,6 +250,13 @@ class CalibrationStore:
         gels = self.gels.serials
         return DayChecks(path, bench, self.command("day"), required=required, gels=gels)
 
+    def check_writable(self) -> None:
+        """Raise ``InputError`` unless calibrations and daily checks can be stored."""
+        with disk_errors("The calibration cannot be written", self.folder, UNWRITABLE_FIX):
+            check_writable(self.folder)
+            for path in self.folder.glob(f"day-checks-{self.mode}.jsonl"):
+                path.open("ab").close()
+
     def accept(
         self,
         measured: CalibrationMeasured,
@@ -293,8 +302,7 @@ class CalibrationStore:
         )
         record = CalibrationRecord.of(file)
         path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
-        fix = "Make room, or name a folder that can be written."
-        with disk_errors("The calibration cannot be written", path, fix):
+        with disk_errors("The calibration cannot be written", path, UNWRITABLE_FIX):
             write_atomically(path, record.text().encode())
         return path
 

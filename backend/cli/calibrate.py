@@ -90,8 +90,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
     Status: return 0 if all calibrations are valid.
     """
-    if not args.pitch > 0:
-        raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
     connection.refuse_misplaced_arguments(args)
     if args.what == RISK:
         return _risk(args, screen)
@@ -112,11 +110,14 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         what, args.piece, args.bottom, args.seed, (args.origin[0], args.origin[1]),
         args.hand_over, args.pitch,
     )  # fmt: skip
+    store = _store_of(args)
+    if what == "day" or args.accept:
+        store.check_writable()  # before the robot measures for minutes
     # A new gel must be connected to be calibrated.
     keep, any_gels = RecordingOptions(None), args.what == "camera"
     bench = connection.open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
     with bench as session, ExitStack() as bars:
-        session.calibrations = _store_of(args)
+        session.calibrations = store
         told = _CalibrationProgress(screen, bars, session)
         session.events.subscribe(told.take)
         with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):

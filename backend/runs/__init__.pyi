@@ -20,7 +20,6 @@ from .calibrations import contact_height_mm as contact_height_mm
 from .calibrations import device_names as device_names
 from .calibrations import payload_wrench as payload_wrench
 from .campaign import Campaign as Campaign
-from .campaign import Pattern as Pattern
 from .campaign import SignalExcerpt as SignalExcerpt
 from .campaign import counts_for_coverage as counts_for_coverage
 from .campaign import current_campaign as current_campaign
@@ -73,6 +72,7 @@ from .recorder import read_bookmarks as read_bookmarks
 from .requests import CalibrateRequest as CalibrateRequest
 from .requests import CollectRequest as CollectRequest
 from .requests import DecisionMode as DecisionMode
+from .requests import Pattern as Pattern
 from .requests import ProbeRequest as ProbeRequest
 from .requests import Request as Request
 from .requests import RunState as RunState

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import pydantic.dataclasses
@@ -46,8 +46,8 @@ from touchdown.backend.geometry import (
     overlap_area_mm2,
 )
 from touchdown.backend.runs.messages import DECISION_WORDS
+from touchdown.backend.runs.requests import Pattern
 
-Pattern = Literal["random", "grid", "adaptive"]
 PATTERNS: tuple[Pattern, ...] = ("random", "grid", "adaptive")
 TRIES = 2000
 FINEST_MM, HALVINGS = 0.05, 12

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -237,14 +236,6 @@ def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
         raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not session.dataset.writable:
         raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
-    for name in ("--probes-per-grip", "--grips-per-mounting"):
-        limit = getattr(request, name[2:].replace("-", "_"))
-        if limit is not None and limit < 1:
-            raise InputError(f"{name} must be at least 1.", name, "Give a positive number.")
-    sigma_mm = request.origin_sigma_mm
-    if sigma_mm is not None and not 0 <= sigma_mm < math.inf:
-        what = f"{sigma_mm} mm is no uncertainty of the origin."
-        raise InputError(what, "--origin-sigma", "Give 0 or more, in mm.")
     if not request.person.strip():
         raise InputError("No operator is named.", "--person", "Give the name of the operator.")
     return session.dataset

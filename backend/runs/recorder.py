@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -296,9 +295,7 @@ class RunRecorder:
         if self._keep.runs is None:
             return
         with core.disk_errors(NOT_KEPT, self._keep.runs, NOT_KEPT_FIX):
-            core.make_folder(self._keep.runs)
-            with tempfile.TemporaryFile(dir=self._keep.runs):
-                pass
+            core.check_writable(self._keep.runs)
         if self._keep.episodes:
             check_free_space(self._keep.runs)
 

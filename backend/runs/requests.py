@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import Literal, get_args
+from numbers import Integral
+from typing import Any, Literal, get_args
 
 from touchdown.backend.calibration import CalibrationName
-from touchdown.backend.config import StackSettings, StrategyName
+from touchdown.backend.config import RecordingPlan, StackSettings, StrategyName, parse_settings
 from touchdown.backend.core import InputError, PlaceAction
 
 StrategyChoice = StrategyName
 DecisionMode = Literal["auto", "approve", "step"]
+Pattern = Literal["random", "grid", "adaptive"]
 GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
 # Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
+
+
+LARGEST_ORIGIN_MM = 5000.0  # of every setting in mm
+
+
+def _check_request(request: Any, **choices: Any) -> None:
+    """Raise ``InputError`` for a name that is none of its ``choices``, a bad seed or origin."""
+    for name, kind in choices.items():
+        if getattr(request, name) not in (known := get_args(kind)):
+            what = f"There is no {name} '{getattr(request, name)}'."
+            raise InputError(what, f"--{name}", f"Use one of: {', '.join(known)}.")
+    if not (isinstance(request.seed, Integral) and 0 <= request.seed < 2**63):
+        raise InputError(f"The seed is {request.seed}.", "--seed", "Give a whole number from 0.")
+    if not (len(request.origin_mm) == 2 and math.hypot(*request.origin_mm) <= LARGEST_ORIGIN_MM):
+        fix = "Give x and y in mm, in the frame of the arm."
+        raise InputError(f"The origin is {request.origin_mm}.", "--origin", fix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +107,7 @@ class StackRequest:
     weigh: bool = False
 
     def __post_init__(self) -> None:
-        for name, kind in (("strategy", StrategyName), ("mode", DecisionMode)):
-            if getattr(self, name) not in (known := get_args(kind)):
-                what = f"There is no {name} '{getattr(self, name)}'."
-                raise InputError(what, f"--{name}", f"Use one of: {', '.join(known)}.")
+        _check_request(self, strategy=StrategyName, mode=DecisionMode)
         if isinstance(self.bottoms, str):
             fix = f"Give a tuple of names, such as ('{self.bottoms}',)."
             raise InputError("The bottoms are a single text.", "bottoms", fix)
@@ -178,7 +194,7 @@ class CollectRequest:
     bottom: str = "circle15"
     count: int = 20
     seed: int = 0
-    pattern: Literal["random", "grid", "adaptive"] = "random"
+    pattern: Pattern = "random"
     person: str = ""
     within_mm: float | None = None
     origin_mm: tuple[float, float] = (0.0, 0.0)
@@ -194,6 +210,17 @@ class CollectRequest:
     depth_mm: float | None = None
     ramp_fraction: float | None = None
     grip_force_n: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_request(self, pattern=Pattern)
+        # The limits of a recording plan, which has the same fields. Numbers of numpy are numbers.
+        given = {n: getattr(self, n, None) for n in RecordingPlan.model_fields}
+        plain = {n: getattr(v, "item", lambda v=v: v)() for n, v in given.items() if v is not None}
+        parse_settings(RecordingPlan, plain | {"stage": self.stage or "rest"}, "CollectRequest")
+        sigma_mm = self.origin_sigma_mm
+        if sigma_mm is not None and not 0 <= sigma_mm < math.inf:
+            what = f"{sigma_mm} mm is no uncertainty of the origin."
+            raise InputError(what, "--origin-sigma", "Give 0 or more, in mm.")
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return ``base`` with the settings of this run."""
@@ -236,6 +263,13 @@ class CalibrateRequest:
     origin_mm: tuple[float, float] = (0.0, 0.0)
     hand_over: bool = False
     pitch_mm: float = 1.9
+
+    def __post_init__(self) -> None:
+        _check_request(self, what=CalibrationName)
+        if not 0 < self.pitch_mm < math.inf:
+            raise InputError(
+                "The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9."
+            )
 
     @property
     def takes_piece(self) -> bool:

@@ -1,5 +1,6 @@
 """Sessions as a script uses them: open a bench, run a request, read the result."""
 
+import math
 import re
 import shutil
 import socket
@@ -43,7 +44,14 @@ from touchdown.backend.episodes import (
 )
 from touchdown.backend.runs.event_log import read_events
 from touchdown.backend.runs.recorder import RecordingOptions
-from touchdown.backend.runs.requests import ProbeRequest, SceneChoice, SetRequest, StackRequest
+from touchdown.backend.runs.requests import (
+    CalibrateRequest,
+    CollectRequest,
+    ProbeRequest,
+    SceneChoice,
+    SetRequest,
+    StackRequest,
+)
 
 REQUEST = StackRequest(piece="pot", bottoms=("short",), strategy="fused", seed=7)
 
@@ -199,11 +207,41 @@ def test_bad_requests_and_settings_are_refused():
         ({"mode": "careful"}, "no mode 'careful'.*Use one of: auto,"),
         ({"bottoms": "short"}, r"bottoms.*such as \('short',\)"),
         ({"trials": 0}, "0 trials"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 0.5}, "seed is 0.5.*whole number"),
+        ({"origin_mm": (math.nan, 0.0)}, r"origin is \(nan, 0.0\)"),
+        ({"origin_mm": (1e9, 0.0)}, "origin is"),
     ],
 )
 def test_a_misspelt_request_is_refused_before_it_runs_as_another_one(values, said) -> None:
     with pytest.raises(InputError, match=said):
         StackRequest(**values)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"pattern": "spiral"}, {"seed": -1}, {"origin_mm": (0.0, math.inf)}, {"count": 0},
+        {"depth_mm": math.nan}, {"depth_mm": -1.0}, {"depth_mm": 1e9}, {"ramp_fraction": 1.0},
+        {"grip_force_n": math.nan}, {"grip_force_n": 0.0}, {"grip_force_n": 1e9},
+        {"within_mm": -1.0}, {"rest_s": math.inf}, {"origin_sigma_mm": math.nan},
+        {"probes_per_grip": 0}, {"grips_per_mounting": 0}, {"stage": "gal"},
+    ],
+)  # fmt: skip
+def test_a_campaign_with_an_impossible_number_is_refused_before_the_arm_moves(values) -> None:
+    """These numbers enter the settings of the press, which are not validated again."""
+    ((name, _),) = values.items()
+    with pytest.raises(InputError, match=name.removesuffix("_mm").split("_")[0]) as refused:
+        CollectRequest(**values)
+    assert refused.value.fix
+    assert CollectRequest(depth_mm=np.float64(2.0), count=np.int64(3)).count == 3
+
+
+def test_a_calibration_of_another_name_or_pitch_is_refused() -> None:
+    with pytest.raises(InputError, match="no what 'gel'"):
+        CalibrateRequest("gel")
+    with pytest.raises(InputError, match="pitch must be positive"):
+        CalibrateRequest("board", pitch_mm=math.nan)
 
 
 def test_a_piece_without_a_model_is_served_by_the_network_of_fused(tmp_path) -> None:

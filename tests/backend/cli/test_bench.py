@@ -191,6 +191,8 @@ def hardware(monkeypatch, lab):
         (["collect", "--count", "0"], "'count'"),
         (["collect", "--within", "0.001", "--pattern", "grid", "--count", "900"], "Not enough"),
         (["calibrate", "board", "--bottom", "nope"], "no bottom piece 'nope'"),
+        (["calibrate", "payload", "--accept", "--calibrations", "FILE"], "cannot be written"),
+        (["check-day", "--calibrations", "FILE"], "cannot be written"),
     ],
 )
 def test_nothing_is_connected_for_a_run_that_cannot_begin(hardware, capsys, tmp_path, words, why):

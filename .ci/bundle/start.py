@@ -19,9 +19,10 @@ def main() -> int:
         sys.argv = ["-c", *words[2:]]
         exec(words[1], {"__name__": "__main__"})  # noqa: S102
         return 0
-    from touchdown.backend.cli import main as command_line
+    from touchdown.__main__ import main as program
 
-    return command_line(words or ["app"])
+    sys.argv[1:] = words or ["app"]
+    return program()
 
 
 if __name__ == "__main__":

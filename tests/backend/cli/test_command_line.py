@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -786,3 +787,38 @@ def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) ->
     method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
     assert main(["settings", "--method", str(method)]) == 2
     assert "There is no setting 'contours'." in capsys.readouterr().err
+
+
+INTERRUPTING = """
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[-1]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from touchdown.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "said"),
+    [
+        ("touchdown.backend.cli.command_line", ""),
+        ("touchdown.backend.config", ""),
+        ("touchdown.backend.cli.doctor.command", "Interrupted.\n"),
+    ],
+)
+def test_ctrl_c_during_the_imports_prints_no_traceback(module, said) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTING, "doctor", module],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
+
+
+def test_the_installed_program_is_the_one_that_ctrl_c_ends_silently() -> None:
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
+    assert project["project"]["scripts"]["touchdown"] == "touchdown.__main__:main"

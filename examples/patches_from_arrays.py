@@ -12,9 +12,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import touchdown as td
-from touchdown.backend.bench import shipped_model
-from touchdown.backend.core import EpisodeQuality
-from touchdown.backend.placement import Belief, Estimator
 
 with tempfile.TemporaryDirectory() as folder, td.Dataset.open(folder, person="Ann") as dataset:
     with td.simulated_bench() as bench:
@@ -31,11 +28,10 @@ print(observations.shape, observations.dtype, offsets_mm.shape)
 # A row holds one tick: displacements of 2 x 63 markers in px, then force in N and moment in N·m.
 # The offset is the centre of the face in any frame fixed to the bottom.
 
-estimator = Estimator.load(shipped_model("pot"), td.load_pieces().top("pot"))
-belief = Belief.unknown(td.StackSettings().belief, tuple(offsets_mm[0]))
+estimator = td.Estimator.shipped(td.load_pieces().top("pot"))
+belief = td.Belief.unknown(td.StackSettings().belief, tuple(offsets_mm[0]))
 for number, (observation, offset_mm) in enumerate(zip(observations, offsets_mm, strict=True)):
-    episode = td.Episode(str(number), "pot", observation, offset_mm, 0.0, EpisodeQuality(True))
-    patch = estimator.estimate(episode)
+    patch = estimator.estimate(td.Episode(str(number), "pot", observation, offset_mm))
     belief = belief.updated(patch, tuple(offset_mm))
     print(f"press {number}: contact on {np.mean(patch.probability > 0.5):.0%} of the face")
 

@@ -29,7 +29,7 @@ from tests.picture_files import PictureFiles, run_reporting
 from touchdown.app.application import TouchdownApp
 from touchdown.app.shell.errors import ErrorBox
 from touchdown.backend.annotations import AnswerContext, Dataset, Label
-from touchdown.backend.bench import SimulatedBenchChoice, shipped_model, simulated_session
+from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import (
     ActionChosen,
@@ -43,6 +43,7 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.learning import load_card
+from touchdown.backend.placement import shipped_model
 from touchdown.backend.runs import (
     CollectRequest,
     RecordingOptions,

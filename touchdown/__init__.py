@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         exchange,
         geometry,
         learning,
+        placement,
         runs,
         sensing,
     )

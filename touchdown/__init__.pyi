@@ -27,6 +27,8 @@ from .backend.learning import EvaluationScores as EvaluationScores
 from .backend.learning import ModelCard as ModelCard
 from .backend.learning import evaluate as evaluate
 from .backend.learning import train_model as train_model
+from .backend.placement import Belief as Belief
+from .backend.placement import Estimator as Estimator
 from .backend.runs import CollectRequest as CollectRequest
 from .backend.runs import StackRequest as StackRequest
 from .backend.sensing import track_markers as track_markers

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import reduce
 
-from touchdown.backend.bench import Session, model_in_use, shipped_model
+from touchdown.backend.bench import Session, model_in_use
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card, pretraining_text
 from touchdown.backend.learning.fused import shipped_fused
+from touchdown.backend.placement import shipped_model
 from touchdown.backend.runs import models_folder
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import MODALITIES

@@ -1,7 +1,6 @@
 from .assembly import SimulatedBenchChoice as SimulatedBenchChoice
 from .assembly import make_scene as make_scene
 from .assembly import model_in_use as model_in_use
-from .assembly import shipped_model as shipped_model
 from .assembly import simulated_bench as simulated_bench
 from .assembly import simulated_session as simulated_session
 from .emulated import EmulatedBench as EmulatedBench

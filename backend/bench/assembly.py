@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,7 @@ from touchdown.backend.geometry import (
     with_true_com,
 )
 from touchdown.backend.learning import ModelRegistry, card_mismatches, check_autonomous
-from touchdown.backend.placement import Estimator
+from touchdown.backend.placement import Estimator, shipped_model
 from touchdown.backend.runs import (
     NoEstimator,
     PatchEstimator,
@@ -128,18 +127,6 @@ class SimulatedScoring:
             bool(truth.stands), truth.knocked_over, truth.margin_mm, truth.fall, truth.contradicted,
             truth.kick_mm,
         )  # fmt: skip
-
-
-def shipped_model(piece: str) -> Path:
-    """Return the path of the shipped model of ``piece``; raises ``InputError`` without one."""
-    path = Path(str(files("touchdown.resources"))) / "models" / f"{piece}.safetensors"
-    if not path.is_file():
-        raise InputError(
-            f"No model ships for piece '{piece}'.",
-            str(path),
-            "Train one with `touchdown train` and name it with --model.",
-        )
-    return path
 
 
 class BenchModels:

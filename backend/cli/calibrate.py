@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import getpass
 import json
+import math
 import shlex
 from contextlib import ExitStack
 from dataclasses import replace
@@ -90,6 +91,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
     Status: return 0 if all calibrations are valid.
     """
+    if not 0 < args.pitch < math.inf:
+        raise InputError("The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9.")
     connection.refuse_misplaced_arguments(args)
     if args.what == RISK:
         return _risk(args, screen)

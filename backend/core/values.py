@@ -57,18 +57,15 @@ def _freeze(where: str, array: NDArray[np.generic], *shape: int | str, kinds: st
 
     A text in ``shape`` stands for any length.
     """
-    if not isinstance(array, np.ndarray):
-        _require(False, where, f"is a {type(array).__name__}, no array", "Give a numpy array.")
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(n != m for n, m in zip(array.shape, shape, strict=True) if isinstance(m, int))
-    ):
-        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
-        fix = f"Give an array of shape {wanted}."
-        _require(False, where, f"has shape {array.shape}, not {wanted}", fix)
-    if array.dtype.kind not in kinds:
+    found, dtype = getattr(array, "shape", ()), getattr(array, "dtype", type(array))
+    free = len(found) == len(shape) and all(
+        n == m or isinstance(m, str) for n, m in zip(found, shape, strict=True)
+    )
+    if not free or getattr(dtype, "kind", "") not in kinds or not isinstance(array, np.ndarray):
+        what = f"has shape {found} and type {getattr(dtype, '__name__', dtype)}"
         kind = {"u": "uint8", "b": "bool"}.get(kinds, "float64")
-        _require(False, where, f"holds {array.dtype}, not {kind}", f"Convert it to {kind}.")
+        wanted = f"({', '.join(map(str, shape))})"
+        _require(False, where, what, f"Give an array of shape {wanted} and type {kind}.")
     array.flags.writeable = False
 
 
@@ -285,14 +282,12 @@ class Recording:
     command_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        for times, name, width in (
-            ("wrench_t_s", "wrench", WRENCH_CHANNELS),
-            ("pose_t_s", "pose_mm", 3),
-            ("command_t_s", "command_mm", 3),
-        ):
-            t_s: FloatArray = getattr(self, times)
-            _freeze(f"Recording.{times}", t_s, "samples")
-            _freeze(f"Recording.{name}", getattr(self, name), len(t_s), width)
+        _freeze("Recording.wrench_t_s", self.wrench_t_s, "samples")
+        _freeze("Recording.wrench", self.wrench, len(self.wrench_t_s), WRENCH_CHANNELS)
+        _freeze("Recording.pose_t_s", self.pose_t_s, "samples")
+        _freeze("Recording.pose_mm", self.pose_mm, len(self.pose_t_s), 3)
+        _freeze("Recording.command_t_s", self.command_t_s, "samples")
+        _freeze("Recording.command_mm", self.command_mm, len(self.command_t_s), 3)
         _freeze("Recording.tare", self.tare, WRENCH_CHANNELS)
 
 
@@ -346,9 +341,9 @@ class Episode:
     offset_mm : ndarray, shape (2,), float64
         Commanded position of ``F`` in ``O``, mm, or in any frame fixed to the bottom: only
         differences enter the belief.
-    onset_s : float
+    onset_s : float, default: 0
         Back-dated time of first contact, bench clock, s.
-    quality : EpisodeQuality
+    quality : EpisodeQuality, default: accepted
         Verdict on its use.
     recording : Recording or None
         Signals at their native rates, if kept.
@@ -357,8 +352,7 @@ class Episode:
 
     Examples
     --------
-    >>> quality = EpisodeQuality(True, (), 0, 0.0, 0, 12.0, 0.0)
-    >>> episode = Episode("0", "pot", np.zeros((20, 258), np.float32), np.zeros(2), 1.3, quality)
+    >>> episode = Episode("0", "pot", np.zeros((20, 258), np.float32), np.zeros(2))
     >>> tactile = episode.observation[:, :TACTILE_CHANNELS].reshape(20, 2, 2, 7, 9)
     >>> wrench = episode.observation[:, TACTILE_CHANNELS:]
     >>> wrench.shape
@@ -370,8 +364,8 @@ class Episode:
     piece: str
     observation: NDArray[np.float32]
     offset_mm: FloatArray
-    onset_s: float
-    quality: EpisodeQuality
+    onset_s: float = 0.0
+    quality: EpisodeQuality = EpisodeQuality(True)
     recording: Recording | None = None
     metadata: tuple[tuple[str, str], ...] = ()
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from touchdown.backend import core
-from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, BenchDescription
+from touchdown.backend.config import TICK_S, BenchDescription
 from touchdown.backend.episodes.mcap_container import (
     DAMAGE,
     DAMAGED_FILE_FIX,
@@ -357,8 +357,6 @@ def episode_of(contents: ChunkContents, path: Path) -> core.Episode:
 def _episode(contents: ChunkContents) -> core.Episode:
     facts = contents.metadata["episode"]
     observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
-    if observation.shape != (SAMPLES_PER_PROBE, core.CHANNELS):
-        raise ValueError(f"the observation has shape {observation.shape}, not (20, 258)")
     quality = core.parse_json(facts["quality"])
     quality["reasons"] = tuple(quality["reasons"])
     pairs = core.parse_json(contents.metadata["pairs"]["items"])

@@ -58,8 +58,8 @@ class ModelCard(BaseModel):
 
     Examples
     --------
-    >>> from touchdown.backend.bench import shipped_model
     >>> from touchdown.backend.learning import load_checkpoint
+    >>> from touchdown.backend.placement import shipped_model
     >>> load_checkpoint(shipped_model("pot")).card.piece
     'pot'
     """

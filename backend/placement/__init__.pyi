@@ -7,6 +7,7 @@ from .estimator import Estimator as Estimator
 from .estimator import OffsetFit as OffsetFit
 from .estimator import OffsetGrid as OffsetGrid
 from .estimator import pair_grid as pair_grid
+from .estimator import shipped_model as shipped_model
 from .estimator import sigmas_apart as sigmas_apart
 from .label_review import score_labels as score_labels
 from .policy import ShiftTarget as ShiftTarget

@@ -168,9 +168,27 @@ def _hat(place: FloatArray, count: int) -> FloatArray:
 class Belief:
     """Belief map of one trial, with the evidence it was built from.
 
-    ``visits``: offset of every probe, including replaced ones; ``evidence``: probes that count.
-    ``base_rate``: share of contact points in the training data. ``calibration``: of the network;
-    None: probabilities are fused as the paper does.
+    Attributes
+    ----------
+    settings : Settings
+        Settings of the fusion, ``StackSettings().belief``.
+    map : BeliefMap
+        Support estimated from all probes.
+    evidence, visits : tuple
+        Probes that count; offset of every probe, mm, including replaced ones.
+    base_rate : float
+        Share of contact points in the training data.
+    calibration : PatchCalibration or None
+        Calibration of the network; without one, probabilities are fused as the paper does.
+
+    Examples
+    --------
+    >>> from touchdown import Belief, ContactPatch, StackSettings
+    >>> patch = ContactPatch(np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([0.9, 0.1]))
+    >>> belief = Belief.unknown(StackSettings().belief, (0.0, 0.0)).updated(patch, (0.0, 0.0))
+    >>> belief.map.probability[32, 32:34].round(2).tolist()
+    [0.9, 0.1]
+
     """
 
     settings: BeliefSettings
@@ -243,10 +261,8 @@ class Belief:
 
 def is_finite(patch: ContactPatch) -> bool:
     """Return True if the patch has points and all probabilities are finite."""
-    p = patch.probability
-    if not len(p) or not np.isfinite(patch.points_mm).all():
-        return False
-    return bool(((p >= 0.0) & (p <= 1.0)).all())
+    values = patch.points_mm, patch.probability[:, None]
+    return len(patch.points_mm) > 0 and bool(np.isfinite(np.hstack(values)).all())
 
 
 def _fused(

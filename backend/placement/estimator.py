@@ -6,21 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.annotations import Pair
-from touchdown.backend.config import EARLY_TICKS, SAMPLES_PER_PROBE
-from touchdown.backend.core import (
-    CHANNELS,
-    ContactPatch,
-    Episode,
-    FloatArray,
-    InputError,
-    read_only,
-)
+from touchdown.backend.config import EARLY_TICKS
+from touchdown.backend.core import ContactPatch, Episode, FloatArray, InputError, read_only
 from touchdown.backend.geometry import Outline, Piece, face_points, true_patch
 from touchdown.backend.learning import (
     Checkpoint,
@@ -113,11 +107,38 @@ def sigmas_apart(label_mm: tuple[float, float], label_sigma_mm: float, model: Of
     return distance / math.hypot(label_sigma_mm, model.sigma_mm)
 
 
+def shipped_model(piece: str) -> Path:
+    """Return the path of the shipped model of ``piece``; raises ``InputError`` without one."""
+    path = Path(str(files("touchdown.resources"))) / "models" / f"{piece}.safetensors"
+    if not path.is_file():
+        raise InputError(
+            f"No model ships for piece '{piece}'.",
+            str(path),
+            "Train one with `touchdown train` and name it with --model.",
+        )
+    return path
+
+
 class Estimator:
     """Contact patches of one piece; not thread-safe.
 
     The network reads a probe tick by tick. ``prepare`` processes the first ticks while the probe is
     still running, so that ``estimate`` has one tick left.
+
+    Attributes
+    ----------
+    card : ModelCard
+        Origin, scores and limits of the model.
+
+    Examples
+    --------
+    >>> from touchdown import Episode, Estimator, load_pieces
+    >>> estimator = Estimator.shipped(load_pieces().top("pot"))
+    >>> probe = Episode("0", "pot", np.zeros((20, 258), np.float32), np.zeros(2))
+    >>> patch = estimator.estimate(probe)
+    >>> len(patch.probability) == len(patch.points_mm)
+    True
+
     """
 
     def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
@@ -128,12 +149,17 @@ class Estimator:
         self._prepared: tuple[NDArray[np.float32], LstmState] | None = None
 
     @classmethod
-    def load(cls, path: Path, piece: Piece) -> Estimator:
+    def shipped(cls, piece: Piece) -> Estimator:
+        """Load the shipped model of a piece; raises ``InputError`` without one."""
+        return cls.load(shipped_model(piece.name), piece)
+
+    @classmethod
+    def load(cls, path: Path | str, piece: Piece) -> Estimator:
         """Load a model for a piece.
 
         Parameters
         ----------
-        path : Path
+        path : Path or str
             Model file (``.safetensors``).
         piece : Piece
             Grasped piece, in the version that the model was trained for.
@@ -149,7 +175,7 @@ class Estimator:
             If the model is damaged or belongs to another piece.
 
         """
-        checkpoint = load_checkpoint(path)
+        checkpoint = load_checkpoint(Path(path))
         points = face_points(piece.face)
         check_face(checkpoint.card, piece.name, piece.sha256, str(path), len(points))
         return cls(checkpoint, points)
@@ -187,7 +213,7 @@ class Estimator:
         Raises
         ------
         InputError
-            If the episode has another piece or shape, or values that are not finite.
+            If the episode has another piece, or values that are not finite.
 
         """
         observation = episode.observation
@@ -197,12 +223,6 @@ class Estimator:
                 f"The episode is of '{episode.piece}', the model of '{self.card.piece}'.",
                 where,
                 "Choose the model of this piece.",
-            )
-        if observation.shape != (SAMPLES_PER_PROBE, CHANNELS):
-            raise InputError(
-                f"The observation has shape {observation.shape}, not (20, 258).",
-                where,
-                "Record the probe again.",
             )
         bad = np.flatnonzero(~np.isfinite(observation).all(axis=0))
         if bad.size:

@@ -20,9 +20,7 @@ Pattern = Literal["random", "grid", "adaptive"]
 GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
 # Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
-
-
-LARGEST_ORIGIN_MM = 5000.0  # of every setting in mm
+LARGEST_ORIGIN_MM = 5000.0  # as of every setting in mm
 
 
 def _check_request(request: Any, **choices: Any) -> None:
@@ -265,11 +263,7 @@ class CalibrateRequest:
     pitch_mm: float = 1.9
 
     def __post_init__(self) -> None:
-        _check_request(self, what=CalibrationName)
-        if not 0 < self.pitch_mm < math.inf:
-            raise InputError(
-                "The pitch must be positive.", "--pitch", "Give it in mm, such as 1.9."
-            )
+        _check_request(self)
 
     @property
     def takes_piece(self) -> bool:

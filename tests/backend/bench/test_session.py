@@ -237,11 +237,9 @@ def test_a_campaign_with_an_impossible_number_is_refused_before_the_arm_moves(va
     assert CollectRequest(depth_mm=np.float64(2.0), count=np.int64(3)).count == 3
 
 
-def test_a_calibration_of_another_name_or_pitch_is_refused() -> None:
-    with pytest.raises(InputError, match="no what 'gel'"):
-        CalibrateRequest("gel")
-    with pytest.raises(InputError, match="pitch must be positive"):
-        CalibrateRequest("board", pitch_mm=math.nan)
+def test_a_calibration_without_a_place_of_its_bottom_is_refused() -> None:
+    with pytest.raises(InputError, match="origin is"):
+        CalibrateRequest("board", origin_mm=(0.0, math.nan))
 
 
 def test_a_piece_without_a_model_is_served_by_the_network_of_fused(tmp_path) -> None:

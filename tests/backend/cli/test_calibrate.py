@@ -109,6 +109,7 @@ def test_what_stands_there_is_what_the_lab_file_says_unless_it_is_named(lab):
         (["collect", "--bench", "LAB", "--json"], "--hand-over"),
         (["calibrate", "board", "--hand-over", "--json"], "--hand-over"),
         (["calibrate", "camera", "--pitch", "0"], "--pitch"),
+        (["calibrate", "camera", "--pitch", "inf"], "--pitch"),
         (["doctor", "--bench", "nowhere.toml"], "nowhere.toml"),
     ],
 )

@@ -52,15 +52,19 @@ def zeros(*shape: int) -> np.ndarray:
 OBSERVATION, OFFSET, GOOD = np.zeros((20, 258), np.float32), np.zeros(2), EpisodeQuality(True)
 SEEN, CELLS = np.zeros(63, np.uint8), np.zeros((2, 3), bool)
 WRONG = {
-    "ContactPatch.probability has shape (4,), not (3,)": lambda: ContactPatch(
+    "ContactPatch.probability has shape (4,) and type float64": lambda: ContactPatch(
         zeros(3, 2), zeros(4)
     ),
     "ContactPatch.points_mm has shape (3,)": lambda: ContactPatch(zeros(3), zeros(3)),
-    "ContactPatch.points_mm is a list": lambda: ContactPatch([[0.0, 0.0]], zeros(1)),
+    "ContactPatch.points_mm has shape () and type list": lambda: ContactPatch(
+        [[0.0, 0.0]], zeros(1)
+    ),
     "ContactPatch.probability is not within": lambda: ContactPatch(zeros(2, 2), np.array([0, 1.1])),
     "ContactPatch.probability is not": lambda: ContactPatch(zeros(1, 2), np.array([-0.1])),
     "BeliefMap.covered has shape": lambda: BeliefMap(zeros(3, 3), CELLS, (0.0, 0.0), 1.0, 0),
-    "BeliefMap.covered holds": lambda: BeliefMap(zeros(2, 3), zeros(2, 3), (0.0, 0.0), 1.0, 0),
+    "BeliefMap.covered has shape (2, 3) and type float64": lambda: BeliefMap(
+        zeros(2, 3), zeros(2, 3), (0.0, 0.0), 1.0, 0
+    ),
     "BeliefMap.log_odds holds NaN": lambda: BeliefMap(
         np.full((2, 3), np.nan), CELLS, (0.0, 0.0), 1.0, 0
     ),
@@ -73,10 +77,10 @@ WRONG = {
     "MarkerField.position_px has": lambda: MarkerField(
         "left", 0, 0.0, zeros(62, 2), zeros(63, 2), SEEN, 1.0
     ),
-    "MarkerField.state holds float64, not uint8": lambda: MarkerField(
+    "MarkerField.state has shape (63,) and type float64": lambda: MarkerField(
         "left", 0, 0.0, zeros(63, 2), zeros(63, 2), zeros(63), 1.0
     ),
-    "Recording.wrench has shape (5, 6), not (4, 6)": lambda: Recording(
+    "Recording.wrench has shape (5, 6)": lambda: Recording(
         zeros(4), zeros(5, 6), (), (), zeros(0), zeros(0, 3), zeros(6)
     ),
     "Stability.stable is True without": lambda: Stability(

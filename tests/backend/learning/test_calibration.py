@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from touchdown.backend.bench import shipped_model
 from touchdown.backend.learning import PatchCalibration, fit_calibration, load_card
 from touchdown.backend.learning.calibration import LOGIT_LIMIT, limited_logit
 from touchdown.backend.learning.metrics import calibration_error, reliability
+from touchdown.backend.placement import shipped_model
 
 
 def drawn(

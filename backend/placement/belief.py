@@ -261,8 +261,8 @@ class Belief:
 
 def is_finite(patch: ContactPatch) -> bool:
     """Return True if the patch has points and all probabilities are finite."""
-    values = patch.points_mm, patch.probability[:, None]
-    return len(patch.points_mm) > 0 and bool(np.isfinite(np.hstack(values)).all())
+    arrays = patch.points_mm, patch.probability
+    return len(patch.points_mm) > 0 and all(bool(np.isfinite(each).all()) for each in arrays)
 
 
 def _fused(

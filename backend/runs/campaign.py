@@ -210,15 +210,11 @@ DICE = random.SystemRandom()
 def new_campaign(
     piece: str, bottom: str, pattern: Pattern, seed: int, count: int, within_mm: float | None
 ) -> Campaign:
-    """Return a new campaign; raises ``InputError`` for numbers out of range."""
-    try:
-        return Campaign(
-            uuid=uuid7(), piece=piece, bottom=bottom, pattern=pattern,
-            seed=seed, count=count, within_mm=within_mm,
-        )  # fmt: skip
-    except ValidationError as error:
-        what = f"Bad value for {first_error(error)}."
-        raise InputError(what, "campaign", "Correct this value.") from error
+    """Return a new campaign, of the numbers of a ``CollectRequest``."""
+    return Campaign(
+        uuid=uuid7(), piece=piece, bottom=bottom, pattern=pattern,
+        seed=seed, count=count, within_mm=within_mm,
+    )  # fmt: skip
 
 
 def read_campaign(dataset: Path, uuid: str) -> Campaign:

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
-from numbers import Integral
 from typing import Any, Literal, get_args
 
 from touchdown.backend.calibration import CalibrationName
@@ -20,7 +19,6 @@ Pattern = Literal["random", "grid", "adaptive"]
 GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
 # Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
-LARGEST_ORIGIN_MM = 5000.0  # as of every setting in mm
 
 
 def _check_request(request: Any, **choices: Any) -> None:
@@ -29,9 +27,10 @@ def _check_request(request: Any, **choices: Any) -> None:
         if getattr(request, name) not in (known := get_args(kind)):
             what = f"There is no {name} '{getattr(request, name)}'."
             raise InputError(what, f"--{name}", f"Use one of: {', '.join(known)}.")
-    if not (isinstance(request.seed, Integral) and 0 <= request.seed < 2**63):
-        raise InputError(f"The seed is {request.seed}.", "--seed", "Give a whole number from 0.")
-    if not (len(request.origin_mm) == 2 and math.hypot(*request.origin_mm) <= LARGEST_ORIGIN_MM):
+    if not (isinstance(request.seed, int) and 0 <= request.seed < 2**63):
+        fix = "Give a whole number from 0, as an int."
+        raise InputError(f"The seed is {request.seed!r}.", "--seed", fix)
+    if not (len(request.origin_mm) == 2 and math.hypot(*request.origin_mm) <= 5e3):
         fix = "Give x and y in mm, in the frame of the arm."
         raise InputError(f"The origin is {request.origin_mm}.", "--origin", fix)
 
@@ -211,10 +210,10 @@ class CollectRequest:
 
     def __post_init__(self) -> None:
         _check_request(self, pattern=Pattern)
-        # The limits of a recording plan, which has the same fields. Numbers of numpy are numbers.
-        given = {n: getattr(self, n, None) for n in RecordingPlan.model_fields}
-        plain = {n: getattr(v, "item", lambda v=v: v)() for n, v in given.items() if v is not None}
-        parse_settings(RecordingPlan, plain | {"stage": self.stage or "rest"}, "CollectRequest")
+        # Its numbers have the names and limits of those of a recording plan.
+        numbers = {n: getattr(self, n, None) for n in RecordingPlan.model_fields}
+        given = {name: value for name, value in numbers.items() if value is not None}
+        parse_settings(RecordingPlan, given | {"stage": self.stage or "rest"}, "CollectRequest")
         sigma_mm = self.origin_sigma_mm
         if sigma_mm is not None and not 0 <= sigma_mm < math.inf:
             what = f"{sigma_mm} mm is no uncertainty of the origin."

@@ -224,7 +224,8 @@ def test_a_misspelt_request_is_refused_before_it_runs_as_another_one(values, sai
         {"pattern": "spiral"}, {"seed": -1}, {"origin_mm": (0.0, math.inf)}, {"count": 0},
         {"depth_mm": math.nan}, {"depth_mm": -1.0}, {"depth_mm": 1e9}, {"ramp_fraction": 1.0},
         {"grip_force_n": math.nan}, {"grip_force_n": 0.0}, {"grip_force_n": 1e9},
-        {"within_mm": -1.0}, {"rest_s": math.inf}, {"origin_sigma_mm": math.nan},
+        {"within_mm": -1.0}, {"within_mm": 0.0}, {"rest_s": math.inf},
+        {"origin_sigma_mm": math.nan},
         {"probes_per_grip": 0}, {"grips_per_mounting": 0}, {"stage": "gal"},
     ],
 )  # fmt: skip
@@ -234,7 +235,7 @@ def test_a_campaign_with_an_impossible_number_is_refused_before_the_arm_moves(va
     with pytest.raises(InputError, match=name.removesuffix("_mm").split("_")[0]) as refused:
         CollectRequest(**values)
     assert refused.value.fix
-    assert CollectRequest(depth_mm=np.float64(2.0), count=np.int64(3)).count == 3
+    assert CollectRequest(depth_mm=np.float64(2.0), rest_s=1).rest_s == 1
 
 
 def test_a_calibration_without_a_place_of_its_bottom_is_refused() -> None:

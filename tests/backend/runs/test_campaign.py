@@ -275,12 +275,6 @@ def test_a_campaign_with_a_value_of_another_type_is_named(tmp_path, key, value):
         read_campaign(tmp_path, campaign.uuid)
 
 
-@pytest.mark.parametrize(("seed", "count", "within_mm"), [(0, 0, None), (-1, 5, None), (0, 5, 0.0)])
-def test_senseless_campaigns_are_refused(seed, count, within_mm):
-    with pytest.raises(InputError):
-        new_campaign("pot", "short", "random", seed, count, within_mm)
-
-
 def test_holes_are_those_of_all_campaigns_that_somebody_stands_for(stored):
     mine = new_campaign("pot", "circle15", "adaptive", 0, 5, None)
     context = replace(context_for(stored), campaign=mine.uuid)

@@ -58,10 +58,11 @@ def _freeze(where: str, array: NDArray[np.generic], *shape: int | str, kinds: st
     A text in ``shape`` stands for any length.
     """
     found, dtype = getattr(array, "shape", ()), getattr(array, "dtype", type(array))
-    free = len(found) == len(shape) and all(
-        n == m or isinstance(m, str) for n, m in zip(found, shape, strict=True)
+    fits = found == shape or (
+        len(found) == len(shape)
+        and all(n == m or isinstance(m, str) for n, m in zip(found, shape, strict=True))
     )
-    if not free or getattr(dtype, "kind", "") not in kinds or not isinstance(array, np.ndarray):
+    if not fits or getattr(dtype, "kind", "") not in kinds or not isinstance(array, np.ndarray):
         what = f"has shape {found} and type {getattr(dtype, '__name__', dtype)}"
         kind = {"u": "uint8", "b": "bool"}.get(kinds, "float64")
         wanted = f"({', '.join(map(str, shape))})"

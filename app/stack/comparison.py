@@ -121,7 +121,8 @@ class ComparisonPresenter:
             self._question = self._request()
             left_out = {"paper"} if self._bench.simulated else {"paper", BLIND}
             rivals = [(key, title) for key, title in STRATEGIES if key not in left_out]
-            self._pair = compared_strategies(self._question)
+            chosen = self._question.strategy
+            self._pair = "paper", BLIND if chosen == "paper" else chosen
             if self._pair[1] not in dict(rivals):
                 self._pair = "paper", strategy_by_name(rivals[0][0]) or "paper"
             self.sheet.offer(rivals, self._pair[1])
@@ -253,11 +254,6 @@ def paired_text(titles: Sequence[str], stories: Sequence[RunStory | None]) -> st
     if better:
         return f"{text} {tr('{} places more often (error at most 5 %).', better)}"
     return f"{text} {tr('Undecided; more trials may follow.')}"
-
-
-def compared_strategies(request: StackRequest) -> tuple[StrategyChoice, StrategyChoice]:
-    """Return the paper's strategy and the chosen one, or the blind one if both are equal."""
-    return "paper", BLIND if request.strategy == "paper" else request.strategy
 
 
 def _answered(story: RunStory | None) -> bool:

@@ -1,4 +1,4 @@
-"""``touchdown replay``: replay a recorded run as text or in the window."""
+"""``touchdown replay``: replay a recorded run as text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("run", metavar="RUN", help="folder of a run, its name, or 'latest'")
     parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
-    parser.add_argument("--app", action="store_true", help="replay in the window")
 
 
 def find_run(name: str, runs: Path) -> Path:
@@ -49,10 +48,6 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Replay; return 0 if the log could be read to its end."""
     runs = Path(args.runs) if args.runs else data_folder() / "runs"
     folder = find_run(args.run, runs)
-    if args.app:
-        from touchdown.backend.cli.app import open_window
-
-        return open_window(["--replay", str(folder)])
     trials: list[TrialFinished] = []
     counts: Counter[str] = Counter()
     head: RunStarted | None = None

@@ -85,7 +85,7 @@ MAKES: tuple[Make, ...] = (
     ),
     Make("force_torque", "ur", "rtde:UrWrenchDriver"),
     Make("arm", "melfa", "make_melfa", "emulate_melfa"),
-    Make("arm", "ur", "make_ur"),
+    Make("arm", "ur", "UrArm"),
     Make("tactile", "gelsight", "make_gelsight", "emulate_gelsight"),
     Make("tactile", "lerobot", "make_lerobot"),
 )

@@ -316,14 +316,7 @@ class PieceLibrary:
 
     def piece(self, name: str) -> Piece:
         """Return the piece; raises ``InputError`` naming the known ones."""
-        self._refuse_broken(name)
-        if name not in self.pieces:
-            raise InputError(
-                f"There is no piece '{name}'.",
-                f"{self.where}: {name}.toml",
-                f"Known pieces: {', '.join(sorted(self.pieces))}.",
-            )
-        return self.pieces[name]
+        return self._known(name, "piece", f"Known pieces: {', '.join(sorted(self.pieces))}.")
 
     def top(self, name: str) -> Piece:
         """Return a piece that can be grasped; raises ``InputError``."""
@@ -333,22 +326,18 @@ class PieceLibrary:
         """Return a piece that can carry another; raises ``InputError``."""
         return self._with_role(name, "bottom", "cannot carry another piece", self.bottoms)
 
-    def _refuse_broken(self, name: str) -> None:
-        if name in self.broken and name not in self.pieces:
+    def _known(self, name: str, noun: str, fix: str) -> Piece:
+        if name in self.pieces:
+            return self.pieces[name]
+        if name in self.broken:
             raise self.broken[name]
+        raise InputError(f"There is no {noun} '{name}'.", f"{self.where}: {name}.toml", fix)
 
     def _with_role(self, name: str, role: str, lack: str, others: tuple[str, ...]) -> Piece:
-        self._refuse_broken(name)
-        if name not in self.pieces:
-            noun = "bottom piece" if role == "bottom" else "piece"
-            raise InputError(
-                f"There is no {noun} '{name}'.",
-                f"{self.where}: {name}.toml",
-                f"Use one of: {', '.join(others)}.",
-            )
-        piece = self.pieces[name]
+        fix = f"Use one of: {', '.join(others)}."
+        piece = self._known(name, "bottom piece" if role == "bottom" else "piece", fix)
         if role not in piece.roles:
-            raise InputError(f"'{name}' {lack}.", piece.source, f"Use one of: {', '.join(others)}.")
+            raise InputError(f"'{name}' {lack}.", piece.source, fix)
         return piece
 
     def add(self, piece: Piece) -> None:

@@ -82,24 +82,20 @@ class BenchConnection:
     """Connects ``devices`` (by name, in this order, the arm last).
 
     ``serials`` are the required serial numbers; without one, the first number that answered is
-    required later. ``when_ready`` is called on the worker thread each time all are ready.
+    required later.
     """
 
     def __init__(
-        self,
-        devices: Mapping[str, Device],
-        serials: Mapping[str, str] | None = None,
-        when_ready: Callable[[], None] = lambda: None,
-        limit_s: float = CONNECT_S,
+        self, devices: Mapping[str, Device], serials: Mapping[str, str] | None = None
     ) -> None:
         self.devices: dict[str, Device] = dict(devices)
-        self.when_ready = when_ready
+        # Called on the worker thread each time all devices are ready.
+        self.when_ready: Callable[[], None] = lambda: None
         # Called for each device but the arm, when all are connected and before the arm is switched
         # on. A ``FaultError`` rejects the device, which is then closed.
         self.prove: Callable[[str, threading.Event], None] = lambda name, cancel: None
         # Remarks on ready devices, in addition to their own; without a full stop.
         self.notices: Mapping[str, str] = {}
-        self._limit_s = limit_s
         self._known = {name: serial for name, serial in (serials or {}).items() if serial}
         self._faults: dict[str, Fault] = {}
         self._waiting: list[str] = []
@@ -210,7 +206,7 @@ class BenchConnection:
             raise FaultError(NO_WRIST)
         device.close()
         try:
-            device.connect(self._limit_s, self._cancel)
+            device.connect(CONNECT_S, self._cancel)
         except TouchdownError:
             raise
         except Exception as error:

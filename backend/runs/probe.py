@@ -22,6 +22,7 @@ AFTER_LAST_TICK_S = 0.08  # arrival of the frame after the last tick (25 Hz plus
 # The estimator gets all ticks but the last this long before the end, when the frame after the last
 # but one has arrived
 EARLY_S = 0.06
+PRESSES = 2  # of a probe whose episodes are rejected
 HUSH_S = 0.02  # lead time for repaints in progress to end before the decision
 LONGEST_HUSH_S = 0.08
 
@@ -139,28 +140,26 @@ def _calibration(bench: Bench) -> tuple[tuple[str, str], ...]:
     return (*board, *rest, *drifted, *bench.calibrations)
 
 
-def probe_until_accepted(bench: Bench, probe: int, tries: int = 2) -> Plan[PressedProbe]:
-    """Probe; lift and press again after a rejected episode, at most ``tries`` times in all.
+def probe_until_accepted(bench: Bench, probe: int) -> Plan[PressedProbe]:
+    """Probe; lift and press again after a rejected episode, at most ``PRESSES`` times in all.
 
     Rejected episodes are kept in the store with their reasons.
     """
-    for attempt in range(tries):
+    for _ in range(PRESSES):
         pressed = yield from press_once(bench, probe, decides=True)
         if pressed.episode.quality.accepted:
             return pressed
         bench.repaint_hold.end()
-        reasons = "; ".join(pressed.episode.quality.reasons)
         yield Said(bench.now_s(), messages.rejected_message(probe, pressed.episode.quality.reasons))
         bench.store.keep(pressed.episode)
         yield from motions.lift(bench, probe)
         yield from motions.wait_until_durable(bench)
-        if attempt + 1 == tries:
-            raise FaultError(
-                Fault(
-                    "PROBE-REJECTED",
-                    f"Probe {probe} was rejected {tries} times: {reasons}.",
-                    "The run ended; the gripper stays closed, the arm is lifted.",
-                    "Check the named sensor, then press Reset.",
-                )
-            )
-    raise AssertionError("unreachable: the loop returns or raises")
+    reasons = "; ".join(pressed.episode.quality.reasons)
+    raise FaultError(
+        Fault(
+            "PROBE-REJECTED",
+            f"Probe {probe} was rejected {PRESSES} times: {reasons}.",
+            "The run ended; the gripper stays closed, the arm is lifted.",
+            "Check the named sensor, then press Reset.",
+        )
+    )

@@ -211,19 +211,19 @@ class UrArm:
 
     def __init__(
         self,
-        settings: UrSettings,
+        settings: HardwareSettings,
         now_s: Callable[[], float],
         wrench: SampleStream,
         poses: SampleStream | None = None,
         open_with: rtde.OpenRobot = rtde.open_robot,
     ) -> None:
-        self._settings, self._now_s, self._open = settings, now_s, open_with
+        self._settings, self._now_s, self._open = settings.ur, now_s, open_with
         self._wrench, self._cursor = wrench, 0
         self._measured = PositionRecord(now_s, poses)
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
-        self._placing, self._cycle_s = UrPlacement(settings), 1.0 / settings.rate_hz
-        lags_s = 1e-3 * settings.arm_lag_ms, 1e-3 * settings.sensor_lag_ms
+        self._placing, self._cycle_s = UrPlacement(settings.ur), 1.0 / settings.ur.rate_hz
+        lags_s = 1e-3 * settings.ur.arm_lag_ms, 1e-3 * settings.ur.sensor_lag_ms
         self._orders = StreamedPrograms(LoopDelays(self._cycle_s, *lags_s))
         self._core = ServoCore()
         self._robot: rtde.UrConnections | None = None
@@ -569,13 +569,3 @@ class UrArm:
             if self._script_ended:
                 self._send_script(robot)
         return robot
-
-
-def make_ur(
-    settings: HardwareSettings,
-    now_s: Callable[[], float],
-    wrench: SampleStream,
-    poses: SampleStream,
-) -> UrArm:
-    """Return the arm at ``ur.host``."""
-    return UrArm(settings.ur, now_s, wrench, poses)

@@ -74,7 +74,8 @@ def states(connection):
 
 def test_all_are_connected_the_arm_last_and_the_bench_is_told_once():
     told = []
-    connection, _, log = made(when_ready=lambda: told.append("ready"))
+    connection, _, log = made()
+    connection.when_ready = lambda: told.append("ready")
     assert set(states(connection).values()) == {"closed"}
     connect(connection)
     assert log == [f"connect {name}" for name in LINES]
@@ -197,7 +198,8 @@ def test_a_bench_that_cannot_be_used_says_why():
     def refuse():
         raise InputError("There is no piece 'x'.", "lab.toml", "Correct it.")
 
-    connection, _, _ = made(when_ready=refuse)
+    connection, _, _ = made()
+    connection.when_ready = refuse
     connect(connection)
     assert "There is no piece" in str(connection.trouble)
 

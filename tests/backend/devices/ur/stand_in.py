@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.backend.devices.melfa.emulated_arm import _Follow
-from touchdown.backend.config.hardware import UrSettings
+from touchdown.backend.config.hardware import HardwareSettings, UrSettings
 from touchdown.backend.core.rotations import IDENTITY_ROTATION, rotation_from_vector
 from touchdown.backend.devices.ur.driver import UrArm, UrPlacement
 from touchdown.backend.devices.ur.rtde import UrConnections
@@ -159,9 +159,8 @@ class UrWires:
         world = bench._world
         start = self.placing.pose(world.drive.command_mm, np.array(DOWN))
         self.robot = Robot(start[:3], self.clock.now_s)
-        self.arm = SteppedUr(
-            settings, self.clock.now_s, bench.force_torque.samples, open_with=self.open
-        )
+        samples, hardware = bench.force_torque.samples, HardwareSettings(ur=settings)
+        self.arm = SteppedUr(hardware, self.clock.now_s, samples, open_with=self.open)
         follow = _Follow(self.true_mm, lambda: IDENTITY_ROTATION, world)
         world.drive.run(follow)
         self._next_us = self.clock.now_us + CYCLE_US

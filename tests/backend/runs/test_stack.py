@@ -10,6 +10,7 @@ from touchdown.backend.config.method import FusedSettings, PolicySettings
 from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
+    FaultError,
     Outcome,
     Released,
     RunFinished,
@@ -17,7 +18,7 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.learning.fused import Guard, GuardCalibration
-from touchdown.backend.runs import messages, stack
+from touchdown.backend.runs import messages, probe, stack
 
 BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
@@ -165,3 +166,32 @@ def test_the_outcome_of_a_release_says_why():
     assert told(True, 0.2, 6.8).endswith("by 6.8 mm: 0.2 mm inside its support.")
     assert told(False, 5.0) == "The piece fell: it was released too high above its support."
     assert told(False, float("-inf")) == "The piece fell: nothing supported it."
+
+
+def test_a_probe_rejected_twice_is_kept_twice_and_ends_the_run(monkeypatch):
+    quality = SimpleNamespace(accepted=False, reasons=("slip", "late"))
+    pressed = SimpleNamespace(episode=SimpleNamespace(quality=quality))
+    kept, lifted = [], []
+    bench = SimpleNamespace(
+        now_s=lambda: 1.0,
+        repaint_hold=SimpleNamespace(end=lambda: None),
+        store=SimpleNamespace(keep=kept.append),
+    )
+
+    def press(*_, **__):
+        yield from ()
+        return pressed
+
+    def lift(_, number):
+        lifted.append(number)
+        yield from ()
+
+    monkeypatch.setattr(probe, "press_once", press)
+    monkeypatch.setattr(probe.motions, "lift", lift)
+    monkeypatch.setattr(probe.motions, "wait_until_durable", lambda _: iter(()))
+    with pytest.raises(FaultError) as ended:
+        list(probe.probe_until_accepted(bench, 3))
+    assert ended.value.fault.code == "PROBE-REJECTED"
+    assert ended.value.fault.what == "Probe 3 was rejected 2 times: slip; late."
+    assert kept == [pressed.episode] * 2
+    assert lifted == [3, 3]

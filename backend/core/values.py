@@ -65,7 +65,7 @@ def _freeze(where: str, array: NDArray[np.generic], *shape: int | str, kinds: st
     if not fits or getattr(dtype, "kind", "") not in kinds or not isinstance(array, np.ndarray):
         what = f"has shape {found} and type {getattr(dtype, '__name__', dtype)}"
         kind = {"u": "uint8", "b": "bool"}.get(kinds, "float64")
-        wanted = f"({', '.join(map(str, shape))})"
+        wanted = str(shape).replace("'", "")
         _require(False, where, what, f"Give an array of shape {wanted} and type {kind}.")
     array.flags.writeable = False
 

@@ -18,9 +18,10 @@ from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import CalibrationName
+from touchdown.backend.config import is_lab_file, load_lab
 from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunFinished, RunStarted
 from touchdown.widgets.base import EventPump, load_resources, tr
-from touchdown.widgets.shell import STOPPED, CardText, FaultCards, PillState, TopBar
+from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards, PillState, TopBar
 
 
 def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
@@ -29,7 +30,7 @@ def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
         "CONNECT",
         tr("The bench could not be prepared: {}", error),
         "Nothing is connected; recorded runs can still be reviewed.",
-        "Try again (Ctrl+L), or run 'touchdown doctor' for the cause.",
+        "Correct the cause, then try again (Ctrl+L), or open another bench file (Ctrl+Shift+B).",
         reset=False,
         offer=("Try again", again),
     )
@@ -48,6 +49,8 @@ class TouchdownApp(QObject):
     """Owns window, workspaces and pump. The bench is built on a thread and attached later."""
 
     bench: Session | None = None
+    # Bench file with which the program starts again, once the window is closed.
+    next_bench: Path | None = None
     # Set with the bench.
     panels: BenchDialogs
     inspect: shell.DeviceInspectorPresenter
@@ -133,7 +136,7 @@ class TouchdownApp(QObject):
         self.inspect = shell.DeviceInspectorPresenter(bench, self.bar, self.window)
         self.workspaces.attach(bench)
         self.window.show_bench(shell.bench_caption(bench))
-        self.panels = BenchDialogs(bench, self.theme, self.window, self.cards)
+        self.panels = BenchDialogs(bench, self.theme, self.window, self.cards, self.open_bench)
         self.panels.open_connect()
         self._speed.attach(bench)
         self._servo = shell.ServoSwitch(bench, self.bar, self.cards)
@@ -268,6 +271,7 @@ class TouchdownApp(QObject):
         return [
             *pages,
             shell.WindowCommand("connect", "Connect the bench", "Ctrl+L", self._connect_again),
+            shell.WindowCommand("bench", "Open a bench file", "Ctrl+Shift+B", self._choose_bench),
             shell.WindowCommand("limits", "Limits of motion and force", "", self._show_limits),
             shell.WindowCommand("calibrate", "Calibrate: payload, board, tool, wrist, cameras",
                                 "Ctrl+Shift+K", self._show_calibrations),
@@ -299,13 +303,37 @@ class TouchdownApp(QObject):
 
     def _wire_rail(self) -> None:
         for name, button in self.window.rail.items():
-            button.setToolTip(
-                f"{button.text()} ({self.actions.action(name).shortcut().toString()})"
-            )
-            button.clicked.connect(self.actions.action(name).trigger)
+            action = self.actions.action(name)
+            button.setToolTip(f"{action.text()} ({action.shortcut().toString()})")
+            button.clicked.connect(action.trigger)
 
     def _quit(self) -> None:
         self.window.close()
+
+    def open_bench(self, file: Path) -> None:
+        """Ask to start again with a bench file, unless the file or the present bench prevents it.
+
+        A running program does not exchange its bench: no device, thread or view of it may remain.
+        """
+        # Imported here, as the window appears before the simulated bench is loaded.
+        from touchdown.backend.bench import SimulatedBenchChoice
+
+        def check() -> None:
+            self._closing.check_unused(self.bench)
+            load_lab(file) if is_lab_file(file) else SimulatedBenchChoice(file=file).settings()
+
+        if shell.carry_out(check, self.cards, "BENCH-FILE"):
+            text = tr("Start again with {}? The present bench is disconnected.", file.name)
+            again = partial(self._start_again, file)
+            self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Start again", again))))
+
+    def _start_again(self, file: Path) -> None:
+        if shell.carry_out(lambda: self._closing.check_unused(self.bench), self.cards):
+            self.next_bench = file
+            self.window.close()
+
+    def _choose_bench(self) -> None:
+        shell.ask_path(self.window, "Bench file", self.open_bench, names="TOML (*.toml)")
 
     def _show_limits(self) -> None:
         if self.bench is not None:
@@ -317,7 +345,10 @@ class TouchdownApp(QObject):
 
     def _connect_again(self) -> None:
         if self.bench is not None:
-            self.panels.open_connect()
+            if not self.panels.open_connect():
+                self.say(
+                    "The simulated bench needs no connection. Ctrl+Shift+B opens a bench file."
+                )
         elif self._make is not None:
             self.connect_bench(self._make)
 

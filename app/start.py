@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
         splash.close()
         if args.grab is not None:
             _WindowGrab(main, args)
-        return application.exec()
+        status = application.exec()
     finally:
         main.close()
         if notifier is not None:
@@ -57,6 +58,17 @@ def run(args: argparse.Namespace, application: QApplication, splash: Splash) -> 
         # Threads that still hang hold no labels and move nothing.
         exit_after_timeout()
         restore()
+    if main.next_bench is not None:
+        sys.stdout.flush()
+        os.execv(sys.executable, command_with_bench(main.next_bench, args))  # noqa: S606 - the same program
+    return status
+
+
+def command_with_bench(file: Path, args: argparse.Namespace) -> list[str]:
+    """Return the command that opens the window on another bench, otherwise with ``args``."""
+    kept = (("bench", file.absolute()), *((k, getattr(args, k)) for k in ("notify", "live")))
+    options = [f"--{name}={value}" for name, value in kept if value]
+    return [sys.executable, "-m", "touchdown", "app", *options]
 
 
 def tune_interpreter() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import QProcess, Qt, QUrl
+from PySide6.QtCore import QProcess, Qt, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
 
@@ -26,14 +26,19 @@ COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
     "Finds the values with which the simulated bench predicts recorded presses best. Record them "
     "with three commands: touchdown collect --plan rest, --plan gel, --plan contact. Nothing moves "
-    "here. Write bench file writes a file; to use it, open Touchdown with that file."
+    "here. Write bench file writes a file and offers to start again with it."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000
 
 
 class IdentifySheet(BenchSheet):
-    """Dataset, progress, verdict and parameters. The fit runs in a process of its own."""
+    """Dataset, progress, verdict and parameters. The fit runs in a process of its own.
+
+    ``written`` gets the bench file that is kept.
+    """
+
+    written = Signal(object)
 
     def __init__(self, parent: QWidget, theme: Theme) -> None:
         super().__init__(parent, TITLE)
@@ -128,8 +133,9 @@ class IdentifySheet(BenchSheet):
         except OSError as error:
             self.note.setText(tr("The bench file cannot be kept: {}", error))
             return
-        self.note.setText(tr("Written: {}. Open it with touchdown app --bench FILE.", kept))
+        self.note.setText(tr("Written: {}. Bench in the rail opens it.", kept))
         self.accept_it.setEnabled(False)
+        self.written.emit(kept)
 
     def _finished(self, code: int) -> None:
         self._read()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 from PySide6.QtWidgets import QWidget
 
@@ -68,6 +69,7 @@ class CalibratePresenter:
         self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
         self.identify: IdentifySheet | None = None
+        self.open_bench: Callable[[Path], None] = lambda file: None
         self._chosen: CalibrationName = MEASUREMENT_NAMES[0]
         self._running: CalibrationName | None = None
         self._progress = Progress(0.0, 0, 1, "")
@@ -179,6 +181,7 @@ class CalibratePresenter:
     def _identify(self) -> None:
         if self.identify is None:
             self.identify = IdentifySheet(self._window, self._theme)
+            self.identify.written.connect(lambda file: self.open_bench(file))
         self.identify.present()
 
     # -- showing ----------------------------------------------------------------------------------

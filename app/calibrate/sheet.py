@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from operator import attrgetter
 
 from PySide6.QtWidgets import (
@@ -223,13 +224,17 @@ class CalibrateSheet(BenchSheet):
         title = tr(CALIBRATION_KINDS[look.what].title)
         self.title.setText(tr("Calibrate: {}", title))
         now = 1 if look.progress is not None else 0 if look.found is None else 2
+        # The result of today's check is seen whole: its table needs the height.
+        checked = any(one.day == f"{datetime.now():%Y-%m-%d}" for one in look.history[-1:])
         for index, (step, text) in enumerate(zip(self.steps, STEPS[look.what], strict=True)):
             step.setText(f"{index + 1}  {tr(text)}")
             set_property(step, "role", "title" if index == now else "")
+            step.setVisible(not checked or now == index == 1)
         self.form.setVisible(self.form.request(look.what).takes_piece)
         self.form.show_pitch(look.what == "camera")
         self._pictures.setVisible(look.what == "camera")
         self.live.setText(look.live)
+        self.live.setVisible(not checked)
         self.progress.setVisible(look.progress is not None)
         progress = look.progress or Progress(0.0, 0, 1, "")
         self.progress.setMaximum(max(progress.total, 1))

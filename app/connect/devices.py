@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,10 +43,14 @@ class DevicesSheet(BenchSheet):
         self.editors: dict[str, QComboBox | QLineEdit] = {}
         self.look, self.save = QPushButton(tr("Look again")), QPushButton(tr("Save"))
         self.swap = QPushButton(tr("Exchange left and right"))
+        self.again = QPushButton(tr("Start again"))
         self.save.setProperty("role", "primary")
         self.look.setToolTip(tr("Look for serial ports and cameras that are plugged in"))
         self.swap.setToolTip(tr("Each camera to the other finger"))
         self.save.setToolTip(tr("Write the lab file; nothing is connected or moved"))
+        self.again.setToolTip(
+            tr("Close the window and open it again on the saved file; asks first")
+        )
         self._arrange(fields)
 
     def values(self) -> dict[str, str]:
@@ -108,7 +112,7 @@ class DevicesSheet(BenchSheet):
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.arrange(
             label("Devices of this bench", "head"), self.source, rule(),
-            (scroll, 1), self.said, foot=(self.save, self.look, self.swap), spacing=8,
+            (scroll, 1), self.said, foot=(self.save, self.again, self.look, self.swap), spacing=8,
         )  # fmt: skip
         self.resize_to_em(48, 44)
 
@@ -119,7 +123,7 @@ def _text(editor: QComboBox | QLineEdit) -> str:
 
 SOURCE = (
     "Change what differs on your bench, then Save: it is written to {}; other entries stay. "
-    "To use it, start again with this file: touchdown app --bench FILE."
+    "Start again uses what is saved."
 )
 LEFT, RIGHT = "gelsight.left.serial", "gelsight.right.serial"
 ANY = "any"
@@ -149,6 +153,7 @@ class DevicesPresenter:
         self._settings: LabSettings | None = None
         self._found: Mapping[str, list[str]] = {}
         self.sheet: DevicesSheet | None = None
+        self.open_bench: Callable[[Path], None] = lambda file: None
 
     def open(self) -> None:
         """Show the present content of the file."""
@@ -157,6 +162,7 @@ class DevicesPresenter:
             self.sheet.look.clicked.connect(self._look)
             self.sheet.swap.clicked.connect(self._swap)
             self.sheet.save.clicked.connect(self._save)
+            self.sheet.again.clicked.connect(lambda: self.open_bench(self._path))
             self.sheet.source.setText(tr(SOURCE, self._path))
         try:
             self._settings = load_lab(self._path).settings
@@ -231,8 +237,11 @@ class DevicesPresenter:
         except OSError as error:
             sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
-            saved = tr("Saved. To use it, start again: touchdown app --bench {}", self._path)
-            sheet.say(saved if values else "Nothing is changed.", bad=False)
+            sheet.say(
+                "Saved. Start again to use it." if values else "Nothing is changed.", bad=False
+            )
+            set_property(sheet.again, "role", "primary" if values else "")
+            set_property(sheet.save, "role", "" if values else "primary")
 
     def _held(self, key: str) -> object:
         value: object = self._settings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from PySide6.QtWidgets import QWidget
 
@@ -156,12 +157,17 @@ def device_row(line: DeviceStatus, *, can: bool, gel: str = "") -> DeviceRowView
 class BenchDialogs:
     """Dialogs of a bench: connection, limits, calibration."""
 
-    def __init__(self, bench: Session, theme: Theme, window: QWidget, cards: FaultCards) -> None:
+    def __init__(
+        self, bench: Session, theme: Theme, window: QWidget, cards: FaultCards,
+        open_bench: Callable[[Path], None],
+    ) -> None:  # fmt: skip
         self.calibrate = CalibratePresenter(bench, theme, window, cards)
+        self.calibrate.open_bench = open_bench
         self.limits = LimitsPresenter(bench, window, cards)
         self.connect: ConnectPresenter | None = None
         if bench.connection is not None:
             self.connect = ConnectPresenter(bench, bench.connection, window, cards, self.limits)
+            self.connect.devices.open_bench = open_bench
 
     def open_connect(self) -> bool:
         """Show the connection panel, connect or cancel; return False without such a panel."""

@@ -213,6 +213,14 @@ class CloseConfirmation:
         if now.text != self._asked.text:
             self._ask(now, front=False)
 
+    def check_unused(self, bench: Session | None) -> None:
+        """Raise ``RefusedError`` while closing needs a question."""
+        if bench is not None and self._question(bench) is not None:
+            what = "The bench is in use: a run is active, it is moved by hand, or a piece is held."
+            raise core.RefusedError(
+                "BENCH-IN-USE", what, "End that, then open the bench file again."
+            )
+
     def _question(self, bench: Session) -> CardQuestion | None:
         if is_run_active(bench):
             what, stay = "A run is active and a piece may be held.", "Keep running"

@@ -32,7 +32,7 @@ LEAST_EM, MOST_EM = (
 USUAL = QSize(1600, 940)
 RAIL_GAP_PX, RAIL_MARGIN_PX = 4, 8
 MESSAGE_PX = 420  # least width of the message in the foot
-FOOT_OF_RAIL = (("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
+FOOT_OF_RAIL = (("bench", "Bench"), ("layouts", "Layout"), ("theme", "Theme"), ("keys", "Keys"))
 
 
 class MainWindow(QMainWindow):

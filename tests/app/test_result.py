@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 
@@ -255,12 +255,14 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
     wizard.actions.action("check-day").trigger()
     assert shown(wizard).plot.empty == "Measure first."
     names = ("left_markers", "wrist_noise_n")
-    for noise_n in (0.1, 0.3):
+    for noise_n, age in ((0.1, timedelta(days=1)), (0.3, timedelta())):
         found = replace(
             GOOD, what="day", names=names, values=(63.0, noise_n), sigmas=(0.0, 0.0),
             units=("", "N"), residuals=(),
         )  # fmt: skip
-        sheet = told(wizard, bench, bench.day_checks.judge(found, datetime.now(UTC)))
+        sheet = told(wizard, bench, bench.day_checks.judge(found, datetime.now(UTC) - age))
+        # Today's result takes the place of the steps.
+        assert any(step.isVisible() for step in sheet.steps) == bool(age)
     assert sheet.title.text() == "Calibrate: Daily check"
     assert sheet.figure.text().endswith(": out of limits.")
     assert sheet.note.text() == (
@@ -271,12 +273,12 @@ def test_the_daily_check_shows_its_history_and_what_to_do(wizard, bench) -> None
     cross = "\N{MULTIPLICATION X}"
     assert sheet.table.texts() == [
         [f"{cross} Noise at rest, wrist sensor", "0.3 N", "0 to 0.2"],
-        ["Number of markers, left finger", "63", "57 to 63"],
+        ["Number of markers, left finger", "63", "60 to 63"],
     ]
     assert sheet.conditions[5].text().startswith("Out of limits on")
     assert not sheet.accept_it.isEnabled()
     assert {line.name: len(line.points) for line in sheet.plot.lines if line.points} == {
-        "limit": 2, "markers": 1, "wrist noise": 1,
+        "limit": 2, "markers": 2, "wrist noise": 2,
     }  # fmt: skip
 
 

@@ -8,13 +8,17 @@ from functools import partial
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QComboBox
+from PySide6.QtWidgets import QComboBox, QFileDialog
 
 from tests.backend.rig.scripted import scripted
+from touchdown.app.__main__ import parser as start_parser
 from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
+from touchdown.app.start import command_with_bench, open_bench
 from touchdown.backend import devices
 from touchdown.backend.config import BenchDescription, load_lab
+from touchdown.backend.core import InputError
 from touchdown.backend.rig.connection import BenchConnection
+from touchdown.backend.runs import RunState
 
 NUMBERS = ("2D8Y-69GR", "AAAA-1111")
 LAB = """\
@@ -168,3 +172,67 @@ def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:
     wizard.parentWidget().resize(1280, 720)
     wizard.resize_to_em(48, 60)
     assert wizard.height() <= wizard.parentWidget().height() - 128
+
+
+def test_start_again_opens_the_saved_file_in_a_new_program(wizard, main, file, tmp_path):
+    write(wizard, "wsg.host", "192.168.0.31")
+    wizard.save.click()
+    assert wizard.said.text() == "Saved. Start again to use it."
+    assert [one.property("role") for one in (wizard.again, wizard.save)] == ["primary", ""]
+    wizard.again.click()
+    assert main.cards.asks.text.startswith("Start again with lab.toml?")
+    main.cards.asks.answers[0][1]()
+    assert main.next_bench is None
+    main.cards.asks.answers[1][1]()
+    assert main.next_bench == file
+    assert not main.window.isVisible()
+    args = start_parser().parse_args(["--bench=old.toml", "--inject=x", "--notify=call me"])
+    command = command_with_bench(file, args)
+    assert command == [
+        sys.executable,
+        "-m",
+        "touchdown",
+        "app",
+        f"--bench={file}",
+        "--notify=call me",
+    ]
+    assert start_parser().parse_args(command[4:]).bench == file
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('version = 7\nkind = "hardware"', "Bad value for 'version': 7 is not known here"),
+        ('version = 1\n[melfa]\nhots = "a"', "hots"),
+        ("press_mm = 1", "press_mm"),
+        ("[melfa", "not valid TOML"),
+    ],
+)
+def test_a_bench_file_is_refused_in_the_words_of_the_command_line(live, tmp_path, content, said):
+    file = tmp_path / "bench.toml"
+    file.write_text(content)
+    with pytest.raises(InputError) as refused:
+        open_bench(file)
+    live.open_bench(file)
+    text = live.cards.card("BENCH-FILE").text
+    assert said in text.what
+    assert (text.what, text.next_step) == (refused.value.what, refused.value.fix)
+    assert live.cards.asks is None
+    assert live.next_bench is None
+
+
+def test_a_bench_in_use_is_not_exchanged(live, bench, file):
+    live.window.rail["bench"].click()
+    (dialog,) = live.window.findChildren(QFileDialog)
+    dialog.fileSelected.emit(str(file))
+    bench.set_state(RunState.RUNNING)
+    live.cards.asks.answers[1][1]()
+    assert "BENCH-IN-USE" in live.cards.codes
+    live.cards.withdraw()
+    live.open_bench(file)
+    assert live.cards.asks is None
+    assert live.next_bench is None
+    assert live.window.isVisible()
+    bench.set_state(RunState.IDLE)
+    live.actions.action("connect").trigger()
+    assert "Ctrl+Shift+B opens a bench file" in live.window._message.text()

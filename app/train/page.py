@@ -43,6 +43,8 @@ class TrainPage(WorkspacePage):
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use, self.autonomy = base.label("", "", wrap=True), base.ScrollingNote("Next step")
+        self.step = QPushButton(base.tr("Train as advised"))
+        self.step.setProperty("role", "primary")
         self.promote = QPushButton(base.tr("Promote"))
         self.roll_back = QPushButton(base.tr("Roll back"))
         for button in (self.promote, self.roll_back):
@@ -72,7 +74,7 @@ class TrainPage(WorkspacePage):
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = base.Panel("Trainings", self.runs)
-        buttons = base.hbox((self.promote, 1), (self.roll_back, 1))
+        buttons = base.hbox((self.step, 1), (self.promote, 1), (self.roll_back, 1))
         self.runs_panel.column.insertWidget(1, self.in_use)
         base.add_items(self.runs_panel.column, self.autonomy, buttons)
         self.comparison = base.Panel("Comparison")

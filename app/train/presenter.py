@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -130,6 +131,7 @@ class TrainPresenter:
         self._over = ""  # id of the training that has just ended
         # Gets what a training gave, with text and action of the next step.
         self.offer: Callable[[str, str, Callable[[], None]], None] = lambda *_: None
+        self.collect: Callable[[], None] = lambda: None  # shows the workspace that collects
 
     # -- reading ----------------------------------------------------------------------------------
 
@@ -168,7 +170,11 @@ class TrainPresenter:
             page.runs.choose([next(iter(self.runs))])
         over, self._over = self.runs.get(self._over), ""
         if over is not None and over.card is not None:
-            self.offer(words.ended_text(over.card), "Put it in use", lambda: self._use(over.uuid))
+            step, text = words.next_step([over], self.in_use), words.ended_text(over.card)
+            if step is None or not step.button:
+                self.offer(text, "Put it in use", lambda: self._use(over.uuid))
+            else:
+                self.offer(text, step.button, partial(self._carry_out, step))
 
     def _use(self, uuid: str) -> None:
         self._page.runs.choose([uuid])
@@ -231,6 +237,20 @@ class TrainPresenter:
             log.info("model before put in use again for %s", piece)
             back = partial(self._reading.roll_back, piece)
             self._worker.submit(back, self._take_use, self._failed)
+
+    def carry_out_step(self) -> None:
+        """Train as the advice on the chosen trainings says, or go to Collect."""
+        if step := words.next_step(self._chosen(), self.in_use):
+            self._carry_out(step)
+
+    def _carry_out(self, step: words.NextStep) -> None:
+        if step.run is None:
+            self.collect()
+            return
+        form, params = self._page.form.form(), {**step.run.about.params, **step.changes}
+        known = {key: value for key, value in params.items() if key in asdict(form)}
+        self._page.form.show_form(replace(form, **known))
+        self.start()
 
     def close(self) -> None:
         """End a training and wait for its process."""
@@ -332,8 +352,13 @@ class TrainPresenter:
         page.roll_back.setEnabled(use is not None and use.before is not None)
         page.in_use.setText(words.model_in_use_text(use))
         alone = words.autonomy_text(use.probes if use else None)
-        compared = words.comparison_text(self._chosen(), use)
-        page.autonomy.setText(f"{compared or one}\n{alone}".strip())
+        step = words.next_step(self._chosen(), use)
+        page.step.setVisible(step is not None and bool(step.button))
+        if step and step.button:
+            page.step.setText(tr(step.button))
+        page.step.setEnabled(idle)
+        said = step.text if step else one
+        page.autonomy.setText(said if step and step.button else f"{said}\n{alone}".strip())
         for line in (page.in_use, page.autonomy):
             line.setVisible(bool(line.text()))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from touchdown.app.shell import duration_text, error_card, probe_count
 from touchdown.app.train.reading import ModelInUse
@@ -28,18 +28,22 @@ from touchdown.widgets.shell import CardText
 LETTERS = ("A", "B", "C")
 THIN_TEST = 100  # fewer held-out probes say little about a model
 WORSE, FEW = "It is worse.", "It was tested on few probes."
-COMPARED = {
-    "": "Above the model in use: {}.",
-    FEW: "Above the model in use, but tested on few probes: {}.",
-    WORSE: "Below the model in use: {}.",
-}
-# By (all had fewer probes than the model in use, one was best in its last epoch).
-AGAIN = {
-    (True, True): "Train again with more labels or epochs.",
-    (True, False): "Train again with more labels.",
-    (False, True): "Train again with more epochs.",
-    (False, False): "Train again with other settings.",
-}
+# A held-out loss falls further if its second half fell this share of the first: the rate decays.
+FALLS_FURTHER = 0.5
+OVERFIT = 0.1  # gap between held-out and training loss, as a share of the held-out one
+ABOVE = "Not below the model in use: {}. Choose one of them alone to promote it."
+ABOVE_ALONE = "Not below the model in use: Promote puts it in use."
+FALLING = "Below the model in use. Next: train {} for {} epochs, as its held-out loss still falls."
+BY_HEART = (
+    "Below the model in use. Next: collect more mountings, as {} fits its {} of {} (loss {:.2f}) "
+    "better than held-out ones ({:.2f}). In use: {} of {}."
+)
+SETTINGS_IN_USE = (
+    "Below the model in use. Next: train {} like it, with '{}' and {} layers of {} units."
+)
+FEWER = "Below the model in use. Next: collect more mountings, as {} has {} of {}, that {} of {}."
+SAME = "Below the model in use. Next: keep that, as {} has as many probes and as large a network."
+TRAIN, COLLECT = "Train as advised", "Go to Collect"
 NOTHING = "\N{EN DASH}"
 SETTINGS = {
     "labels": "labels", "modality": "sees", "layers": "layers", "hidden": "units",
@@ -106,28 +110,65 @@ def promotion_question(card: ModelCard, used: ModelCard | None) -> str:
     return " ".join(said)
 
 
-def comparison_text(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> str:
-    """Return how trainings compare with the model in use, and what follows; "" without its IoU."""
+class NextStep(NamedTuple):
+    """Advice on trainings; ``changes``: settings in which the next one differs from ``run``."""
+
+    text: str
+    button: str = ""
+    run: TrainingRun | None = None
+    changes: Mapping[str, Any] = {}
+
+
+def next_step(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> NextStep | None:
+    """Return what limits the best of ``runs``, if all are below the model in use, else the others.
+
+    None if there is nothing to compare.
+    """
     used = None if in_use is None else in_use.card
     if in_use is None or used is None or not _test(used)[1]:
-        return ""
-    found = {text: list[str]() for text in COMPARED.values()}
-    for mark, run in zip(LETTERS if len(runs) > 1 else (tr("this training"),), runs, strict=False):
-        if run.card and run.card.piece == in_use.piece and not is_in_use(run.card, in_use):
-            found[COMPARED[_shortfall(run.card, used)]].append(mark)
-    below = found[COMPARED[WORSE]]
-    said = [tr(text, ", ".join(marks)) for text, marks in found.items() if marks]
-    better = [mark for marks in found.values() if marks is not below for mark in marks]
-    if better and len(runs) > 1:
-        several = "Choose one of {} alone to promote it."
-        one = several if len(better) > 1 else "Choose {} alone to promote it."
-        said.append(tr(one, ", ".join(better)))
-    elif below and not better:
-        cards = [run.card for run in runs if run.card]
-        fewer = all(probe_count(card) < probe_count(used) for card in cards)
-        fell = any(len(run.curves.get("iou", ())) == run.best_epoch for run in runs if run.card)
-        said.append(tr(AGAIN[fewer, fell]))
-    return " ".join(said)
+        return None
+    marks = LETTERS if len(runs) > 1 else (tr("this training"),)
+    cards = [(mark, run, run.card) for mark, run in zip(marks, runs, strict=False)
+             if run.card and run.card.piece == in_use.piece and not is_in_use(run.card, in_use)
+             ]  # fmt: skip
+    above = [mark for mark, _, card in cards if _shortfall(card, used) != WORSE]
+    if above or not cards:
+        text = tr(ABOVE, ", ".join(above)) if len(runs) > 1 else tr(ABOVE_ALONE)
+        return NextStep(text) if above else None
+    mark, run, card = max(cards, key=lambda one: _test(one[2])[0])
+    train, held_out = ([loss for _, loss in run.curves.get(f"{side}_loss", ())]
+                       for side in ("train", "validation"))  # fmt: skip
+    if _still_falls(held_out):
+        epochs = 2 * len(held_out)
+        return NextStep(tr(FALLING, mark, epochs), TRAIN, run, {"epochs": epochs})
+    data, data_in_use = _amount(card), _amount(used)
+    if train and held_out and held_out[-1] - train[-1] > OVERFIT * held_out[-1]:
+        text = tr(BY_HEART, mark, *data, train[-1], held_out[-1], *data_in_use)
+        return NextStep(text, COLLECT)
+    like = {"modality": used.modality, "layers": used.hyper.layers, "hidden": used.hyper.hidden}
+    size = used.hyper.layers * used.hyper.hidden
+    if not any(one.modality == used.modality and one.hyper.layers * one.hyper.hidden >= size
+               for *_, one in cards):  # fmt: skip
+        sizes = used.hyper.layers, used.hyper.hidden
+        text = tr(SETTINGS_IN_USE, mark, _setting(used.modality), *sizes)
+        return NextStep(text, TRAIN, run, like)
+    if probe_count(card) < probe_count(used):
+        return NextStep(tr(FEWER, mark, *data, *data_in_use), COLLECT)
+    return NextStep(tr(SAME, mark))
+
+
+def _still_falls(losses: Sequence[float]) -> bool:
+    """Return True if a loss is least at its end and has hardly slowed down."""
+    if len(losses) < 3 or losses[-1] > min(losses):
+        return False
+    middle = losses[(len(losses) - 1) // 2]
+    return middle - losses[-1] > FALLS_FURTHER * max(losses[0] - middle, 0.0)
+
+
+def _amount(card: ModelCard) -> tuple[str, str]:
+    """Return the numbers of probes and of mountings."""
+    mountings = int(card.data.get("mountings") or 0)
+    return count_noun(probe_count(card), "probe"), count_noun(mountings, "mounting")
 
 
 def _shortfall(card: ModelCard, used: ModelCard) -> str:

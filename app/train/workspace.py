@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from touchdown.app import shell
@@ -56,6 +57,7 @@ class TrainWorkspace(shell.Workspace):
         page.form.folder.clicked.connect(self._ask_folder)
         page.form.defaults.clicked.connect(self._defaults)
         page.runs_chosen.connect(lambda _: self._on(TrainPresenter.choose))
+        page.step.clicked.connect(self._order(TrainPresenter.carry_out_step))
         page.promote.clicked.connect(self._order(TrainPresenter.promote))
         page.roll_back.clicked.connect(self._order(TrainPresenter.roll_back))
         self.columns = self.lazy_pages = self.page.columns
@@ -70,6 +72,7 @@ class TrainWorkspace(shell.Workspace):
             cards = self._context.cards
             self.presenter = TrainPresenter(self.page, cards, reading, self._worker)
             self.presenter.offer = self._context.offer
+            self.presenter.collect = partial(self._context.go, "collect")
         self._reread()
 
     def close(self) -> None:

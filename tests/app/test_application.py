@@ -25,6 +25,7 @@ from touchdown.app import application
 from touchdown.app.application import TouchdownApp
 from touchdown.app.calibrate.presenter import CalibratePresenter
 from touchdown.app.shell.settings import load_settings
+from touchdown.app.train.text import next_step
 from touchdown.app.workspaces import WORKSPACES
 from touchdown.backend.bench.assembly import model_in_use, simulated_session
 from touchdown.backend.calibration import CalibrationStore
@@ -446,9 +447,15 @@ def test_train_compare_promote_and_roll_back(desk):
     ]
     assert [line.name for line in page.iou.lines] == ["A", "B"]
     assert not page.promote.isEnabled()
-    said = page.autonomy.text().rpartition(": A, B. ")[2]
-    assert said.startswith("Train again with more labels"), "both are below the model in use"
     assert "choose one to see its samples" in page.samples._why
+    step = next_step([wrench, both], desk.presenter.in_use)
+    assert (page.autonomy.text(), page.step.text()) == (step.text, "Train as advised")
+    page.step.click()
+    assert desk.presenter.thread is not None
+    desk.ended()
+    advised = list_training_runs(desk.data)[0]
+    expected = step.run.about.params | step.changes
+    assert advised.about.params == expected != step.run.about.params
 
     registry = ModelRegistry(models_folder())
     for run in (both, wrench):
@@ -465,11 +472,13 @@ def test_train_compare_promote_and_roll_back(desk):
         desk.settle()
         assert registry.in_use("pot").stem == run.card.weights_sha256
         assert not page.promote.isEnabled()
+        assert not page.step.isVisible()
     assert f"model {wrench.card.weights_sha256[:8]}" in page.in_use.text()
     QTest.mouseClick(page.roll_back, Qt.MouseButton.LeftButton)
     desk.settle()
     assert registry.in_use("pot").stem == both.card.weights_sha256
-    assert [row[1] for row in page.runs.texts()] == ["finished", "in use"]
+    assert [row[1] for row in page.runs.texts()] == ["finished", "finished", "in use"]
+    assert not page.step.isVisible()
 
 
 @pytest.mark.promise("W14")

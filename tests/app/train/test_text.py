@@ -11,9 +11,9 @@ from tests.widgets.views.test_belief import is_colour, pixels
 from touchdown.app.train.reading import ModelInUse, TrainingReader
 from touchdown.app.train.text import (
     autonomy_text,
-    comparison_text,
     figure_rows,
     model_in_use_text,
+    next_step,
     promotion_question,
     run_row,
 )
@@ -114,41 +114,77 @@ def test_a_model_that_is_worse_or_hardly_tested_is_questioned_with_its_figures(
         assert "75 % on 1,200 probes" in said
 
 
+def card(iou, held_out=1200, probes=2000, **fields):
+    """A card of a network as large as that of the shipped models."""
+    data = {"held_out": held_out, "episodes": {"short": probes}, "mountings": probes // 50}
+    usual = {"piece": "pot", "weights_sha256": "x", "modality": "FT+Tac",
+             "hyper": SimpleNamespace(layers=2, hidden=256)}  # fmt: skip
+    metrics = {"validation": {"iou": iou}}
+    return SimpleNamespace(**usual | fields, metrics=metrics, data=data)
+
+
+FLAT = (0.6, 0.4, 0.4, 0.41)
+
+
+def a_run(card, held_out=FLAT, train=FLAT):
+    sides = {"train_loss": train, "validation_loss": held_out}
+    curves = {name: list(enumerate(losses, 1)) for name, losses in sides.items()}
+    return SimpleNamespace(card=card, curves=curves)
+
+
 def test_trainings_are_compared_with_the_model_in_use_as_by_promote():
-    def card(iou, held_out=1200, piece="pot", sha256="x", probes=2000):
-        metrics = {"validation": {"iou": iou}}
-        data = {"held_out": held_out, "episodes": {"short": probes}}
-        return SimpleNamespace(piece=piece, weights_sha256=sha256, metrics=metrics, data=data)
+    def step(*cards, used):
+        use = ModelInUse("pot", "used", None, 0, card=used)
+        return next_step([a_run(one) for one in cards], use)
 
-    def trained(card, epochs=6):
-        curves = {"iou": [(k + 1, 0.4) for k in range(epochs)]}
-        return SimpleNamespace(card=card, best_epoch=6, curves=curves)
+    used = card(0.75)
+    assert step(card(0.8), used=used).text == "Not below the model in use: Promote puts it in use."
+    several = step(card(0.8), card(0.4), card(0.8, 6), used=used)
+    assert several.text.startswith("Not below the model in use: A, C. Choose one")
+    assert several.button == ""
+    assert step(card(0.4), used=used).text.startswith("Below the model in use. Next: ")
+    other = card(0.4, piece="mug"), card(0.75, weights_sha256="used")
+    assert step(None, *other, used=used) is None
+    assert step(card(0.4), used=card(0.75, 0)) is step(card(0.4), used=None) is None
+    assert next_step([a_run(card(0.4))], None) is None
 
-    def said(*cards, used, epochs=6):
-        runs = [trained(one, epochs) for one in cards]
-        return comparison_text(runs, ModelInUse("pot", "used", None, 0, card=used))
 
-    used, below = card(0.75), "Below the model in use: "
-    again = "Train again with more epochs."
-    assert said(card(0.4), card(0.7), used=used) == f"{below}A, B. {again}"
-    assert said(card(0.4), used=used) == f"{below}this training. {again}"
-    assert said(card(0.4), used=used, epochs=9) == (
-        f"{below}this training. Train again with other settings."
-    )
-    few, many = card(0.4, probes=90), card(0.75, probes=12000)
-    assert said(few, used=many).endswith("Train again with more labels or epochs.")
-    assert said(few, used=many, epochs=9).endswith("Train again with more labels.")
-    assert said(few, card(0.4, probes=12000), used=many).endswith(again)
-    assert said(card(0.8), used=used) == "Above the model in use: this training."
-    assert said(card(0.8), card(0.4), used=used).endswith("Choose A alone to promote it.")
-    assert said(card(0.8), card(0.4), card(0.8, 6), used=used) == (
-        "Above the model in use: A. Above the model in use, but tested on "
-        "few probes: C. Below the model in use: B. Choose one of A, C alone "
-        "to promote it."
-    )
-    assert said(None, card(0.4, piece="mug"), card(0.75, sha256="used"), used=used) == ""
-    assert said(card(0.4), used=card(0.75, 0)) == said(card(0.4), used=None) == ""
-    assert comparison_text([trained(card(0.4))], None) == ""
+SMALL = SimpleNamespace(layers=2, hidden=12)
+
+
+IN_USE = {"modality": "FT+Tac", "layers": 2, "hidden": 256}
+
+
+@pytest.mark.parametrize(
+    ("worse", "curves", "said", "changes"),
+    [
+        ({}, {"held_out": (0.7, 0.65, 0.6, 0.56)}, "train {} for 8 epochs", {"epochs": 8}),
+        ({}, {"held_out": (0.7, 0.5, 0.5, 0.44)}, "keep that, as {}", {}),
+        ({"probes": 100}, {"train": (0.6, 0.4, 0.3, 0.2)},
+         "collect more mountings, as {} fits its 100 probes of 2 mountings (loss 0.20) better than "
+         "held-out ones (0.41). In use: 2,000 probes of 40 mountings.", {}),
+        ({"probes": 100}, {},
+         "collect more mountings, as {} has 100 probes of 2 mountings, that 2,000 probes of 40 "
+         "mountings.", {}),
+        ({"modality": "FT"}, {}, "train {} like it, with 'Touch + wrench' and 2 layers", IN_USE),
+        ({"hyper": SMALL}, {}, "train {} like it, with 'Touch + wrench' and 2 layers", IN_USE),
+        ({}, {}, "keep that, as {} has as many probes", {}),
+    ],
+)  # fmt: skip
+def test_the_next_step_follows_from_losses_data_and_network(worse, curves, said, changes):
+    use = ModelInUse("pot", "used", None, 0, card=card(0.75))
+    best, less = a_run(card(0.6, **worse), **curves), a_run(card(0.5, **worse))
+    for runs, mark in (([best], "this training"), ([less, best], "B")):
+        step = next_step(runs, use)
+        assert step.text.startswith(f"Below the model in use. Next: {said.format(mark)}")
+        assert step.changes == changes
+        assert step.run is (best if changes else None)
+        told = "Train as advised" if changes else "Go to Collect"
+        assert step.button == ("" if "keep" in said else told)
+    if changes == IN_USE:
+        # Another of them has tried it.
+        assert next_step([a_run(card(0.5)), best], use).changes == {}
+    assert next_step([best, a_run(card(0.8))], use).button == ""
 
 
 @pytest.mark.parametrize("probes", [None, 0, HARDWARE_PROBES - 1, HARDWARE_PROBES])

@@ -57,7 +57,8 @@ class RecordingSheet(BenchSheet):
         self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
         self.choose_folder = QPushButton(tr("Choose a folder\N{HORIZONTAL ELLIPSIS}"))
         self.preview, self.cancel = QPushButton(tr("Preview")), QPushButton(tr("Cancel"))
-        self.add = QPushButton(tr("Import"))
+        self.add, self.correct = QPushButton(tr("Import")), QPushButton(tr("Correct the mapping"))
+        self.correct.setToolTip(tr("Set the values to try, and look at the preview again"))
         self.file, self.note = label(NO_FILE, wrap=True), label("", wrap=True)
         self.contents = FigureTable(theme, "Signals of the recording", COLUMNS)
         self.contents.empty = "No recording yet"
@@ -72,6 +73,7 @@ class RecordingSheet(BenchSheet):
         self.choose_folder.clicked.connect(lambda: ask_path(self, "Recording", self.take))
         self.mapping.textChanged.connect(self._forget)
         self.preview.clicked.connect(self.read)
+        self.correct.clicked.connect(self._correct)
         self.cancel.clicked.connect(lambda: self._cancelled.set())
         self.finished.connect(lambda _: self._cancelled.set())
         self.anyway.toggled.connect(self._show_buttons)
@@ -148,7 +150,7 @@ class RecordingSheet(BenchSheet):
             grid.addWidget(self.findings[name], row, column, 1, span)
         grid.addWidget(label(HINT, "small", wrap=True), 2, 2)
         right = vbox((grid, 1), self.anyway, self.note, self.progress)
-        foot = self.preview, self.cancel, self.add
+        foot = self.preview, self.correct, self.cancel, self.add
         self.arrange(hbox((left, 3), (right, 5), spacing=14), foot=foot, spacing=10)
         self.resize_to_em(76, 46)
         self._show_buttons()
@@ -200,6 +202,14 @@ class RecordingSheet(BenchSheet):
         words += [tr("{} cannot be mapped: {}.", count, why) for why, count in survey.problems]
         self._say(" ".join([*words, stored, *survey.losses]))
 
+    def _correct(self) -> None:
+        if self._found is not None:
+            text = exchange.correct_mapping(self.mapping.toPlainText(), self._found[1].proposed)
+            # An edit that Ctrl+Z takes back.
+            self.mapping.selectAll()
+            self.mapping.insertPlainText(text)
+            self.read()
+
     def _written(self, uuids: list[str]) -> None:
         self._found = None
         self.imported.emit(self._source.name, uuids)
@@ -231,4 +241,7 @@ class RecordingSheet(BenchSheet):
             button.setEnabled(not self._busy)
         self.add.setEnabled(can_add)
         set_property(self.add, "role", "primary" if can_add else "")
-        set_property(self.preview, "role", "" if can_add else "primary")
+        proposed = self._found is not None and bool(self._found[1].proposed) and not self._busy
+        self.correct.setEnabled(proposed)
+        set_property(self.correct, "role", "primary" if proposed and not can_add else "")
+        set_property(self.preview, "role", "" if can_add or proposed else "primary")

@@ -11,6 +11,7 @@ from .imports import recording_contents as recording_contents
 from .label_import import import_labels as import_labels
 from .manifest import read_manifest as read_manifest
 from .mapped_presses import press_curves as press_curves
+from .mapping import correct_mapping as correct_mapping
 from .mapping import propose_mapping as propose_mapping
 from .mapping import recording_format as recording_format
 from .query import ExportState as ExportState

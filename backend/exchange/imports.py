@@ -57,12 +57,13 @@ from touchdown.backend.exchange.label_import import note_import
 from touchdown.backend.exchange.manifest import GEOMETRY, Manifest, read_manifest
 from touchdown.backend.exchange.mapped_presses import (
     CONTACT_S,
+    Contradiction,
     contradictions,
     cut_press,
     find_presses,
     measure_press,
 )
-from touchdown.backend.exchange.mapping import ImportMapping
+from touchdown.backend.exchange.mapping import ImportMapping, MappingChange
 from touchdown.backend.geometry import load_pieces
 
 DEADLINE_S = 60.0  # deadline per episode; the first one includes opening the file
@@ -259,7 +260,8 @@ class ImportOptions:
 class ImportSurvey:
     """Preview of an import: numbers of new, known and unusable episodes, with reasons.
 
-    ``contradictions``: what in the signals contradicts the mapping file.
+    ``contradictions``: what in the signals contradicts the mapping file; ``proposed``: values of
+    it that may put that right.
     """
 
     found: int
@@ -268,6 +270,7 @@ class ImportSurvey:
     problems: tuple[tuple[str, int], ...]
     losses: tuple[str, ...]
     contradictions: tuple[str, ...] = ()
+    proposed: tuple[MappingChange, ...] = ()
 
 
 class EpisodeImport:
@@ -313,11 +316,14 @@ class EpisodeImport:
                 fit += 1
                 lost |= dict.fromkeys(mapping_losses(foreign))
             advance(found)
-        reasons, contradicted = tuple(sorted(problems.items())), list[str]()
+        reasons, contradicted = tuple(sorted(problems.items())), list[Contradiction]()
         if self._mapping:
             changes = [measure_press(press) for press in self.presses]
             contradicted = contradictions(changes, self._mapping)
-        return ImportSurvey(found, fit, here, reasons, tuple(lost), tuple(contradicted))
+        return ImportSurvey(
+            found, fit, here, reasons, tuple(lost), tuple(map(str, contradicted)),
+            tuple(change for one in contradicted for change in one.changes),
+        )  # fmt: skip
 
     def _foreign(self) -> Iterable[ForeignEpisode]:
         if self._mapping is None:

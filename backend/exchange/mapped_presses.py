@@ -7,9 +7,10 @@ moves the markers up, towards the hand.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,14 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.exchange import features
 from touchdown.backend.exchange.features import ForeignEpisode
-from touchdown.backend.exchange.mapping import NOMINAL_PX, ImportMapping
+from touchdown.backend.exchange.mapping import (
+    FORCE_N,
+    LENGTH_MM,
+    MOMENT_NM,
+    NOMINAL_PX,
+    ImportMapping,
+    MappingChange,
+)
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, assemble_episode
 
 CONTACT_S, LENGTH_S = 0.6, 2.8  # time of contact in a press, and its length
@@ -166,17 +174,30 @@ def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
 MOST_N, MOST_MM, LEAST_MM, MOST_PX, LEAST_PX = 300.0, 30.0, 0.02, 120.0, 0.5
 MOST_LEVER_M, LEAST_LEVER_M, MOST_LAG_S = 0.5, 1e-4, 0.08
 TURN_RAD, TURN_NM = 2e-3, 0.02  # smaller ones do not count
+USUAL_N, USUAL_LEVER_M, USUAL_MM = 8.0, 0.02, 1.0  # of a press; an unknown unit comes nearest
+
+
+class Contradiction(NamedTuple):
+    """What contradicts the mapping, and values to try, where they follow from the signals."""
+
+    text: str
+    changes: Sequence[MappingChange] = ()
+
+    def __str__(self) -> str:
+        tried = [f"{name} = {json.dumps(value)} in [{signal}]"
+                 for signal, name, value in self.changes]  # fmt: skip
+        return f"{self.text} Try {' and '.join(tried)}." if tried else self.text
 
 
 def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMapping
-                   ) -> list[str]:  # fmt: skip
-    """Return what contradicts the mapping, one sentence each, from the medians over presses.
+                   ) -> list[Contradiction]:  # fmt: skip
+    """Return what contradicts the mapping, from the medians over presses.
 
     ``presses``: changes of ``measure_press``.
     """
     if not presses:
-        return ["No press was found: no force changes by 1 N for half a second. Check 'source', "
-                "'stamp' and 'force_unit' of 'wrench'."]  # fmt: skip
+        return [Contradiction("No press was found: no force changes by 1 N for half a second. "
+                              "Check 'source', 'stamp' and 'force_unit' of 'wrench'.")]  # fmt: skip
     whole = [one for one in presses if all(np.isfinite(value).all() for value in one.values())]
     middle = {name: np.median([one[name] for one in whole or presses[:1]], axis=0)
               for name in presses[0]}  # fmt: skip
@@ -185,67 +206,105 @@ def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportM
                for (name, _), value in zip(mapping, signals, strict=True)
                if not np.isfinite(value).all()]  # fmt: skip
     # A wrong sign elsewhere also reverses the turns.
-    return missing or [
-        *_hand_checks(middle, mapping.wrench.payload_kg), *_marker_checks(middle)
-    ] or [*_turn_checks(presses)]  # fmt: skip
+    return [Contradiction(text) for text in missing] or [
+        *_hand_checks(middle, mapping), *_marker_checks(middle, mapping)
+    ] or [*_turn_checks(presses, mapping)]  # fmt: skip
 
 
-def _hand_checks(middle: Mapping[str, FloatArray], payload_kg: float | None) -> Iterator[str]:
+def _unit(signal: str, name: str, own: str, factors: Mapping[str, float], ratio: float
+          ) -> list[MappingChange]:  # fmt: skip
+    """Return the unit that makes ``ratio``, of a value to the usual one, come nearest to 1."""
+    sizes = {abs(np.log(max(ratio, 1e-12) * factor / factors[own])): unit
+             for unit, factor in factors.items()}  # fmt: skip
+    best = sizes[min(sizes)]
+    return [] if best == own else [(signal, name, best)]
+
+
+def _axes(signal: str, own: Sequence[str], change: FloatArray, sign: float) -> list[MappingChange]:
+    """Return the axes turned so that the largest ``change`` goes along z, with this sign."""
+    at = int(np.abs(change).argmax())
+    axes = [own[(at + k) % 3] for k in (1, 2, 3)]
+    if sign * change[at] < 0.0:
+        axes[1:] = [one[1:] if one.startswith("-") else f"-{one}" for one in axes[1:]]
+    return [(signal, "axes", axes)]
+
+
+def _hand_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
+                 ) -> Iterator[Contradiction]:  # fmt: skip
     wrench, weight, travel = middle["wrench"], middle["weight"], middle["pose"]
+    own, pose, payload_kg = mapping.wrench, mapping.pose, mapping.wrench.payload_kg
     force_n, size_mm = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(travel))
     lever_m = float(np.linalg.norm(wrench[3:])) / max(force_n, 1e-9)
     force_axis, travel_axis = ("xyz"[np.abs(one[:3]).argmax()] for one in (wrench, travel))
     if force_n > MOST_N:
-        yield f"A press of {force_n:.0f} N: 'force_unit' of 'wrench'."
+        unit = _unit("wrench", "force_unit", own.force_unit, FORCE_N, force_n / USUAL_N)
+        yield Contradiction(f"A press of {force_n:.0f} N: 'force_unit' of 'wrench'.", unit)
     if force_axis != "z":
-        yield (f"The force changes most along {force_axis} while pressed ({force_n:.1f} N in all, "
-               f"Fz {wrench[2]:+.1f} N): 'axes' of 'wrench'.")  # fmt: skip
+        text = (f"The force changes most along {force_axis} while pressed ({force_n:.1f} N in all, "
+                f"Fz {wrench[2]:+.1f} N): 'axes' of 'wrench'.")  # fmt: skip
+        yield Contradiction(text, _axes("wrench", own.axes, wrench[:3], 1.0))
     elif wrench[2] < 0.0:
-        yield (f"Fz falls by {-wrench[2]:.1f} N while the arm goes "
-               f"{'down' if travel[2] < 0.0 else 'up'}: "
-               "sign ('acts_on') or frame ('axes') of 'wrench'.")  # fmt: skip
+        other = "environment" if own.acts_on == "tool" else "tool"
+        text = (f"Fz falls by {-wrench[2]:.1f} N while the arm goes "
+                f"{'down' if travel[2] < 0.0 else 'up'}: "
+                "sign ('acts_on') or frame ('axes') of 'wrench'.")  # fmt: skip
+        yield Contradiction(text, [("wrench", "acts_on", other)])
     if not LEAST_LEVER_M <= lever_m <= MOST_LEVER_M:
-        size = "short" if lever_m < LEAST_LEVER_M else "long"
-        yield (f"The moment has a lever of {lever_m:.3g} m, too {size} for a hand: correct "
-               "'moment_unit' of 'wrench'.")  # fmt: skip
+        text = (f"The moment has a lever of {lever_m:.3g} m, too "
+                f"{'short' if lever_m < LEAST_LEVER_M else 'long'} for a hand: 'moment_unit' of "
+                "'wrench'.")  # fmt: skip
+        ratio = lever_m / USUAL_LEVER_M
+        yield Contradiction(text, _unit("wrench", "moment_unit", own.moment_unit, MOMENT_NM, ratio))
     due_n = -STANDARD_GRAVITY_M_S2 * (payload_kg or 0.0)
     if payload_kg is not None and abs(weight[2] - due_n) > 1.0 - 0.25 * due_n:
-        yield (f"Fz in still air is {weight[2]:+.1f} N, the payload weighs {due_n:+.1f} N: unit, "
-               "'axes' or 'acts_on' of 'wrench', or a sensor that was tared.")  # fmt: skip
+        text = (f"Fz in still air is {weight[2]:+.1f} N, the payload weighs {due_n:+.1f} N: unit, "
+                "'axes' or 'acts_on' of 'wrench', or a sensor that was tared.")  # fmt: skip
+        ratio = max(abs(weight[2] / due_n), 1.0)  # less is a tared sensor
+        yield Contradiction(text, _unit("wrench", "force_unit", own.force_unit, FORCE_N, ratio))
     if not LEAST_MM <= size_mm <= MOST_MM:
-        yield f"The arm travels {size_mm:.3g} mm in contact: 'unit' of 'pose'."
-    elif travel_axis != "z":
-        yield f"The arm travels along {travel_axis} while pressed: 'axes' of 'pose'."
-    elif travel[2] > 0.0:
-        yield f"The arm goes up by {travel[2]:.2f} mm while pressed: 'axes' of 'pose'."
+        unit = _unit("pose", "unit", pose.unit, LENGTH_MM, size_mm / USUAL_MM)
+        yield Contradiction(f"The arm travels {size_mm:.3g} mm in contact: 'unit' of 'pose'.", unit)
+    elif travel_axis != "z" or travel[2] > 0.0:
+        way = f"travels along {travel_axis}"
+        way = f"goes up by {travel[2]:.2f} mm" if travel_axis == "z" else way
+        text = f"The arm {way} while pressed: 'axes' of 'pose'."
+        yield Contradiction(text, _axes("pose", pose.axes, travel, -1.0))
 
 
-def _marker_checks(middle: Mapping[str, FloatArray]) -> Iterator[str]:
+def _marker_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
+                   ) -> Iterator[Contradiction]:  # fmt: skip
     for finger, (u, v), lag_s in zip(FINGERS, middle["shift"], middle["lag"], strict=True):
+        own = getattr(mapping, finger)
         quarters = round(float(np.angle(complex(-v, -u))) / (0.5 * np.pi)) % 4  # left from up
         if not LEAST_PX <= np.hypot(u, v) <= MOST_PX:
-            yield (f"The markers of '{finger}' move by {np.hypot(u, v):.2g} px while pressed: "
-                   f"'kind', unit or 'source' of '{finger}', or a piece not gripped.")  # fmt: skip
+            yield Contradiction(
+                f"The markers of '{finger}' move by {np.hypot(u, v):.2g} px while pressed: "
+                f"'kind', unit or 'source' of '{finger}', or a piece not gripped."
+            )
             continue
         if quarters:
             way = ("up", "left", "down", "right")[quarters]
-            yield (f"The markers of '{finger}' move {way} while pressed, not up: add "
-                   f"{360 - 90 * quarters} to its 'turn_deg'.")  # fmt: skip
+            text = f"The markers of '{finger}' move {way} while pressed, not up: its 'turn_deg'."
+            yield Contradiction(text, [(finger, "turn_deg", (own.turn_deg - 90 * quarters) % 360)])
         if abs(lag_s) > MOST_LAG_S:
-            yield (f"The markers of '{finger}' move {abs(lag_s):.2f} s "
-                   f"{'after' if lag_s > 0.0 else 'before'} the force: add {-lag_s:+.2f} to its "
-                   "'time_offset_s'.")  # fmt: skip
+            text = (f"The markers of '{finger}' move {abs(lag_s):.2f} s "
+                    f"{'after' if lag_s > 0.0 else 'before'} the force: its 'time_offset_s'."
+                    )  # fmt: skip
+            offset_s = round(own.time_offset_s - float(lag_s), 2)
+            yield Contradiction(text, [(finger, "time_offset_s", offset_s)])
 
 
-def _turn_checks(presses: Sequence[Mapping[str, FloatArray]]) -> Iterator[str]:
+def _turn_checks(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMapping
+                 ) -> Iterator[Contradiction]:  # fmt: skip
     """Compare the turn of the gels with the moment about y, which turns the piece in the grasp."""
     moment = np.array([press["wrench"][4] for press in presses])
     turns = np.array([press["turn"] for press in presses]) * (-1.0, 1.0)  # facing cameras
     sure = (np.abs(moment) > TURN_NM) & (np.abs(turns) > TURN_RAD).all(axis=1)
     against = (np.sign(turns[sure]) * np.sign(moment[sure])[:, None]).sum(axis=0) < 0
     if against.all():
-        yield ("Both gels turn against the moment about y: 'left' and 'right' are exchanged, or "
-               "both need 'mirror'.")  # fmt: skip
+        yield Contradiction("Both gels turn against the moment about y: 'left' and 'right' are "
+                            "exchanged, or both need 'mirror'.")  # fmt: skip
         return
     for finger in np.array(FINGERS)[against]:
-        yield f"The gel of '{finger}' turns against the moment about y: its 'mirror'."
+        text = f"The gel of '{finger}' turns against the moment about y: its 'mirror'."
+        yield Contradiction(text, [(str(finger), "mirror", not getattr(mapping, finger).mirror)])

@@ -8,6 +8,8 @@ on top: a press moves the markers up, since the piece is pushed towards the hand
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -43,6 +45,8 @@ LENGTH_MM = {"m": 1e3, "mm": 1.0}
 # Rest positions for a marker array that holds displacements only.
 NOMINAL_PX = 32.0 * np.stack(np.divmod(np.arange(MARKERS), GRID_COLS)[::-1], -1) + (32.0, 24.0)
 
+MappingChange = tuple[str, str, Any]  # signal, field and value
+VALUE = r"""("[^"]*"|'[^']*'|\[[^\]]*\]|[^\s#]+)"""  # of TOML, on one line
 Samples = Iterable[tuple[int, NDArray[Any]]]  # time stamps in ns, with numbers or a BGR picture
 
 
@@ -290,6 +294,20 @@ def propose_mapping(contents: Sequence[RecordedSignal]) -> str:
               for name, one in found.items()}  # fmt: skip
     text = files("touchdown.resources").joinpath("mapping.toml.in").read_text("utf-8")
     return text.format(**{name: one.name if one else "" for name, one in found.items()}, **arrays)
+
+
+def correct_mapping(text: str, changes: Iterable[MappingChange]) -> str:
+    """Return a mapping file with other values in its tables; all else stays."""
+    for signal, name, value in changes:
+        table = re.search(rf"^\[{signal}\].*?(?=^\[|\Z)", text, re.MULTILINE | re.DOTALL)
+        if table is not None:
+            line, own = f"{name} = {json.dumps(value)}", rf"^{name}\s*=\s*{VALUE}"
+            if found := re.search(own, table[0], re.MULTILINE):
+                body = f"{table[0][: found.start()]}{line}{table[0][found.end() :]}"
+            else:
+                body = table[0].replace("]", f"]\n{line}", 1)
+            text = f"{text[: table.start()]}{body}{text[table.end() :]}"
+    return text
 
 
 def _rows(episode: ForeignEpisode, feature: str) -> Samples:

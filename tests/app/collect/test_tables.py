@@ -171,8 +171,11 @@ def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet,
     ]
     look(page, sheet)
     said = {name: found.text() for name, found in sheet.findings.items()}
-    assert "lever of 15.6 m, too long for a hand: correct 'moment_unit'" in said["wrench"]
-    assert "add 180 to its 'turn_deg'" in said["left"]
+    assert (
+        "too long for a hand: 'moment_unit' of 'wrench'. Try moment_unit = \"N mm\""
+        in said["wrench"]
+    )
+    assert "Try turn_deg = 180 in [left]" in said["left"]
     assert said["right"] == "Nothing contradicts 'right'."
     assert [line.name for line in sheet.plots["Force"].lines] == ["x", "y", "z"]
     assert sheet.plots["Force"].lines[2].points[-1][1] == pytest.approx(7.8, abs=0.3)
@@ -180,6 +183,14 @@ def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet,
     sheet.anyway.setChecked(True)
     assert sheet.add.isEnabled(), "the user may insist"
     sheet.anyway.setChecked(False)
+    proposed = sheet.mapping.toPlainText()
+    QTest.mouseClick(sheet.correct, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(sheet.preview.isEnabled, timeout=120_000)
+    assert {found.property("tone") for found in sheet.findings.values()} == {"good"}
+    assert not sheet.correct.isEnabled()
+    assert sheet.add.isEnabled()
+    sheet.mapping.undo()
+    assert sheet.mapping.toPlainText() == proposed
     assert drop(sheet, FOREIGN / "map.toml")
     qtbot.waitUntil(lambda: "payload_kg = 1.5" in sheet.mapping.toPlainText(), timeout=60_000)
     look(page, sheet)

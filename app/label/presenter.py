@@ -38,6 +38,7 @@ from touchdown.app.label.text import (
     model_evidence_text,
     next_step_text,
     scene_evidence_text,
+    sources_differ,
 )
 from touchdown.app.shell import (
     CURSOR_S,
@@ -96,7 +97,8 @@ def show_edit(
     page.view.show_scene(scene)
     page.verdict.setText(verdict_text(scene))
     model = None if hidden or item.model is None else item.model.fit
-    page.basis.setText(basis_text(edit, model, act))
+    differ = None if hidden or edit.source == "human" else sources_differ(edit, item)
+    page.basis.setText(basis_text(edit, model, act, differ))
     page.model_line.setText(model_evidence_text(edit, item, hidden=hidden))
     page.scene_line.setText(scene_evidence_text(edit, item, hidden=hidden))
     outlines = item.face, item.bottom

@@ -71,8 +71,21 @@ def provenance_text(revision: Revision) -> str:
     return f"{basis}, {spread}"
 
 
-def basis_text(edit: LabelDraft, model: OffsetFit | None, act: EnterAct) -> str:
-    """Return the displacement that Enter takes with ``act``, and its source."""
+# By act of Enter, and if the other sources differ from the position (None: there are none).
+TAKES = {
+    ("accept", None): "Accept takes this position, {}",
+    ("accept", False): "The sources agree: accept {}",
+    ("accept", True): "The sources differ: drag the outline to the true place, or accept {}",
+    ("approve", None): "Approve takes this position, {}",
+    ("approve", False): "The sources agree: approve {}",
+    ("approve", True): "The sources differ: drag the outline to the true place, or approve {}",
+}
+
+
+def basis_text(
+    edit: LabelDraft, model: OffsetFit | None, act: EnterAct, differ: bool | None = None
+) -> str:
+    """Return the displacement that Enter takes with ``act``, its source, and the next step."""
     if not edit.label.is_set:
         if act and model is not None:
             at = offset_text(model.offset_mm, model.sigma_mm)
@@ -80,9 +93,7 @@ def basis_text(edit: LabelDraft, model: OffsetFit | None, act: EnterAct) -> str:
         return tr("No displacement is set yet.")
     where = offset_text(edit.offset_mm, edit.sigma_mm if edit.changed else 0.0)
     if act:
-        approve = act == "approve"
-        takes = "Approve takes this position, {}" if approve else "Accept takes this position, {}"
-        where = tr(takes, where)
+        where = tr(TAKES[act, differ], where)
     if edit.changed:
         return tr("{}. Not saved yet, {}.", where, source_text(edit.source))
     return f"{where}: {provenance_text(edit.base)}"
@@ -218,6 +229,13 @@ def sigmas_from_signals(edit: LabelDraft, item: LabelItem) -> float | None:
     if item.doubt is None or edit.changed or item.doubt[0] != edit.base.rev_uuid:
         return None
     return math.sqrt(item.doubt[1])
+
+
+def sources_differ(edit: LabelDraft, item: LabelItem) -> bool | None:
+    """Return if the most certain evidence is notably off, None without any."""
+    judged = sigmas_from_scene, sigmas_from_signals, sigmas_from_model
+    known = any(sigmas(edit, item) is not None for sigmas in judged)
+    return bool(evidence_badges(edit, item)) if known else None
 
 
 def evidence_badges(edit: LabelDraft, item: LabelItem) -> tuple[str, ...]:

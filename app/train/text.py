@@ -33,13 +33,13 @@ FALLS_FURTHER = 0.5
 OVERFIT = 0.1  # gap between held-out and training loss, as a share of the held-out one
 ABOVE = "Not below the model in use: {}. Choose one of them alone to promote it."
 ABOVE_ALONE = "Not below the model in use: Promote puts it in use."
-FALLING = "Below the model in use. Next: train {} for {} epochs, as its held-out loss still falls."
+FALLING = "Below the model in use. Next: train for {} epochs, as the held-out loss of {} falls."
 BY_HEART = (
     "Below the model in use. Next: collect more mountings, as {} fits its {} of {} (loss {:.2f}) "
     "better than held-out ones ({:.2f}). In use: {} of {}."
 )
 SETTINGS_IN_USE = (
-    "Below the model in use. Next: train {} like it, with '{}' and {} layers of {} units."
+    "Below the model in use. Next: train like it, with '{}' and {} layers of {} units."
 )
 FEWER = "Below the model in use. Next: collect more mountings, as {} has {} of {}, that {} of {}."
 SAME = "Below the model in use. Next: keep that, as {} has as many probes and as large a network."
@@ -140,7 +140,7 @@ def next_step(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> NextSte
                        for side in ("train", "validation"))  # fmt: skip
     if _still_falls(held_out):
         epochs = 2 * len(held_out)
-        return NextStep(tr(FALLING, mark, epochs), TRAIN, run, {"epochs": epochs})
+        return NextStep(tr(FALLING, epochs, mark), TRAIN, run, {"epochs": epochs})
     data, data_in_use = _amount(card), _amount(used)
     if train and held_out and held_out[-1] - train[-1] > OVERFIT * held_out[-1]:
         text = tr(BY_HEART, mark, *data, train[-1], held_out[-1], *data_in_use)
@@ -150,7 +150,7 @@ def next_step(runs: Sequence[TrainingRun], in_use: ModelInUse | None) -> NextSte
     if not any(one.modality == used.modality and one.hyper.layers * one.hyper.hidden >= size
                for *_, one in cards):  # fmt: skip
         sizes = used.hyper.layers, used.hyper.hidden
-        text = tr(SETTINGS_IN_USE, mark, _setting(used.modality), *sizes)
+        text = tr(SETTINGS_IN_USE, _setting(used.modality), *sizes)
         return NextStep(text, TRAIN, run, like)
     if probe_count(card) < probe_count(used):
         return NextStep(tr(FEWER, mark, *data, *data_in_use), COLLECT)

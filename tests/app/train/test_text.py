@@ -158,7 +158,8 @@ IN_USE = {"modality": "FT+Tac", "layers": 2, "hidden": 256}
 @pytest.mark.parametrize(
     ("worse", "curves", "said", "changes"),
     [
-        ({}, {"held_out": (0.7, 0.65, 0.6, 0.56)}, "train {} for 8 epochs", {"epochs": 8}),
+        ({}, {"held_out": (0.7, 0.65, 0.6, 0.56)},
+         "train for 8 epochs, as the held-out loss of {} falls.", {"epochs": 8}),
         ({}, {"held_out": (0.7, 0.5, 0.5, 0.44)}, "keep that, as {}", {}),
         ({"probes": 100}, {"train": (0.6, 0.4, 0.3, 0.2)},
          "collect more mountings, as {} fits its 100 probes of 2 mountings (loss 0.20) better than "
@@ -166,8 +167,8 @@ IN_USE = {"modality": "FT+Tac", "layers": 2, "hidden": 256}
         ({"probes": 100}, {},
          "collect more mountings, as {} has 100 probes of 2 mountings, that 2,000 probes of 40 "
          "mountings.", {}),
-        ({"modality": "FT"}, {}, "train {} like it, with 'Touch + wrench' and 2 layers", IN_USE),
-        ({"hyper": SMALL}, {}, "train {} like it, with 'Touch + wrench' and 2 layers", IN_USE),
+        ({"modality": "FT"}, {}, "train like it, with 'Touch + wrench' and 2 layers", IN_USE),
+        ({"hyper": SMALL}, {}, "train like it, with 'Touch + wrench' and 2 layers", IN_USE),
         ({}, {}, "keep that, as {} has as many probes", {}),
     ],
 )  # fmt: skip

@@ -35,7 +35,6 @@ from .estimators import estimate_level_payload as estimate_level_payload
 from .estimators import estimate_payload as estimate_payload
 from .estimators import estimate_tool as estimate_tool
 from .estimators import estimate_wrist as estimate_wrist
-from .gels import GelLedger as GelLedger
 from .records import CalibrationRecord as CalibrationRecord
 from .records import CalibrationStatus as CalibrationStatus
 from .records import CalibrationStore as CalibrationStore

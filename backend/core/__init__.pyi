@@ -73,7 +73,6 @@ from .marker_interpolation import fill_unseen_markers as fill_unseen_markers
 from .marker_interpolation import marker_misfit as marker_misfit
 from .notification import QUESTIONS as QUESTIONS
 from .notification import CommandNotifier as CommandNotifier
-from .notification import PersonCall as PersonCall
 from .notification import person_call as person_call
 from .rotations import IDENTITY_ROTATION as IDENTITY_ROTATION
 from .rotations import LEVEL_TOLERANCE_RAD as LEVEL_TOLERANCE_RAD

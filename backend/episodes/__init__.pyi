@@ -4,7 +4,6 @@ from .episode_mcap import LIVE_TOPICS as LIVE_TOPICS
 from .episode_mcap import PADS_KEY as PADS_KEY
 from .episode_mcap import REST_KEY as REST_KEY
 from .episode_mcap import CompressedEpisode as CompressedEpisode
-from .episode_mcap import CompressedImages as CompressedImages
 from .episode_mcap import KeepFrames as KeepFrames
 from .episode_mcap import StampedMessages as StampedMessages
 from .episode_mcap import decode_image as decode_image

@@ -25,7 +25,6 @@ from .campaign import counts_for_coverage as counts_for_coverage
 from .campaign import current_campaign as current_campaign
 from .campaign import fresh_seed as fresh_seed
 from .campaign import labelled_coverage as labelled_coverage
-from .campaign import last_signal_excerpt as last_signal_excerpt
 from .campaign import newest_campaign as newest_campaign
 from .campaign import read_campaign as read_campaign
 from .campaign import read_examined_episodes as read_examined_episodes

@@ -118,7 +118,8 @@ def similarity(first: outlines.Outline, second: outlines.Outline) -> float:
     angles = 2.0 * pi * np.arange(ROTATIONS) / ROTATIONS
     turns = np.stack([outlines.rotated(b, float(angle)) for angle in angles])
     common = float(outlines.enclosed_area_mm2(outlines.overlap_edges(a[None], turns)).max())
-    return common / (area_mm2(a) + area_mm2(b) - common)
+    whole = outlines.polygon_of(a).area + outlines.polygon_of(b).area
+    return common / float(whole - common)
 
 
 def is_similar(first: outlines.Outline, second: outlines.Outline) -> bool:
@@ -127,12 +128,6 @@ def is_similar(first: outlines.Outline, second: outlines.Outline) -> bool:
     """
     areas = sorted((first.area_mm2, second.area_mm2))
     return areas[0] > SIMILAR_IOU * areas[1] and similarity(first, second) > SIMILAR_IOU
-
-
-def area_mm2(polygon_mm: FloatArray) -> float:
-    """Return the area of an ordered polygon (k, 2)."""
-    x, y = polygon_mm.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _draw_outline(

@@ -16,14 +16,7 @@ import numpy as np
 
 from touchdown.backend.config import TowerSettings
 from touchdown.backend.core import FloatArray, InputError
-from touchdown.backend.geometry import (
-    Body,
-    Outline,
-    Piece,
-    contact_edges,
-    inset_mm,
-    signed_distances_mm,
-)
+from touchdown.backend.geometry import Body, Piece, contact_edges, inset_mm, signed_distances_mm
 
 XY = tuple[float, float]
 DRAWS = 13  # sampled towers, for the uncertainty of the positions
@@ -95,18 +88,13 @@ class SupportTower:
             upper = self.bodies[k - 1].upper if k else None
             if upper is not None and "region" in (body.lower.kind, upper.kind):
                 step_x, step_y = (at[k] - at[k - 1]).tolist()
-                inset = _hull_inset_mm(body.lower, (step_x, step_y), upper, load - at[k - 1])
-                least = np.minimum(least, inset)
+                contact = _contact_edges(body.lower, (step_x, step_y), 0.0, upper)
+                least = np.minimum(least, signed_distances_mm(load - at[k - 1], contact))
                 continue
             least = np.minimum(least, inset_mm(body.lower, load - at[k]))
             if upper is not None:
                 least = np.minimum(least, inset_mm(upper, load - at[k - 1]))
         return least
-
-
-def _hull_inset_mm(lower: Outline, at_mm: XY, upper: Outline, points_mm: FloatArray) -> FloatArray:
-    """Return the inset (...,) of points in the hull of the contact of two faces."""
-    return signed_distances_mm(points_mm, _contact_edges(lower, at_mm, 0.0, upper))
 
 
 _contact_edges = lru_cache(maxsize=256)(contact_edges)  # the draws of a tower stay the same

@@ -200,7 +200,8 @@ class TowerSettings(Settings):
 class FusedSettings(Settings):
     """Strategy ``fused``: a network fuses the signals of all probes."""
 
-    # Network file; empty for the shipped one, "any" for the shipped one for any outline.
+    # Network file; empty for the shipped one, "any" for the shipped one for any outline, "wrench"
+    # for the shipped one that does not read the markers.
     weights: str = ""
     # Largest probability at release that the support misses the centre of mass [U].
     risk: Probability = 0.1

@@ -349,6 +349,7 @@ class FusionRecipe:
     networks: int = 1  # of an ensemble, each with its own initial weights and order of the data
     ranges: Mapping[str, Sequence[float]] = field(default_factory=dict)  # settings drawn by job
     tuning: Mapping[str, Any] = field(default_factory=dict)  # adopted network and labelled probes
+    wrench_alone: bool = False  # the network does not read the marker fields
 
     def jobs(self) -> list[JobSpec]:
         """Return the data in turn from each portion, then the training."""
@@ -370,6 +371,7 @@ class FusionRecipe:
             **self._wide,
             **({"batch": self.batch} if self.batch != BATCH else {}),
             **({"kick_mm": kick} if (kick := self.bench.release_disturbance_mm) else {}),
+            **({"wrench_alone": True} if self.wrench_alone else {}),
             **self.tuning,
         }
         inputs = tuple(part.id for some in portions.values() for part in some)
@@ -492,6 +494,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         batch=spec.params.get("batch", BATCH),
         seed=spec.seed,
         kick_mm=spec.params.get("kick_mm", 0.0),
+        wrench_alone=spec.params.get("wrench_alone", False),
     )
     origin, metrics = dict[str, Any](), dict[str, Any]()
     if tuning := spec.params.get("tuning"):
@@ -542,6 +545,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             "learning_rate": settings.learning_rate,
             "device": device_name(device),
             "kick_mm": settings.kick_mm,
+            "wrench_alone": settings.wrench_alone,
             **origin,
         },
         metrics=metrics,

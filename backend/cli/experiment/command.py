@@ -64,6 +64,7 @@ def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
     fused.add_argument("--seed", type=int, default=0, help="of data and training")
     fused.add_argument("--outlines", choices=("convex", "any"), default="convex", help="of the "
                        "bottoms; any: also rings, crescents, L, U, stars and feet")  # fmt: skip
+    fused.add_argument("--wrench-alone", action="store_true", help="do not read the markers")
     fused.add_argument("--ranges", type=Path, metavar="JSON", help="figures of 'identify' beside "
                        "its bench file: each job of sequences draws its bench from the 95 %% "
                        "intervals")  # fmt: skip
@@ -111,7 +112,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
     recipe = experiments.FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
         outlines=args.outlines, batch=args.batch, networks=args.networks, ranges=ranges,
-        tuning=_tuning(run, bench),
+        tuning=_tuning(run, bench), wrench_alone=args.wrench_alone,
     )  # fmt: skip
     if args.ready:
         recipe = replace(

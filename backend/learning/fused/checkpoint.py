@@ -115,7 +115,8 @@ def one_network(found: FusedCheckpoint, member: int) -> FusedCheckpoint:
     return FusedCheckpoint(arrays, found.card.model_copy(update={"hyper": hyper}))
 
 
-ANY_OUTLINE = "any"  # the shipped network for any outline, trained on bench-v2
+# Shipped networks beside the default: for any outline; of the wrench alone, for unknown gels.
+SHIPPED = ("any", "wrench")
 
 
 def shipped_path() -> Path:
@@ -124,8 +125,8 @@ def shipped_path() -> Path:
 
 
 def network_path(weights: str) -> Path:
-    """Return the file of ``FusedSettings.weights``: "" and "any" name the shipped networks."""
-    if weights == ANY_OUTLINE:
+    """Return the file of ``FusedSettings.weights``: "" and ``SHIPPED`` name the shipped networks."""
+    if weights in SHIPPED:
         return shipped_path().with_stem(weights)
     return Path(weights) if weights else shipped_path()
 
@@ -142,7 +143,7 @@ def shipped_fused() -> FusedCheckpoint:
 
 def load_network(weights: str) -> FusedCheckpoint:
     """Return the network of ``network_path``; raises ``InputError``."""
-    return _shipped(weights) if weights in ("", ANY_OUTLINE) else load_fused(Path(weights))
+    return _shipped(weights) if weights in ("", *SHIPPED) else load_fused(Path(weights))
 
 
 def _bad(path: Path, what: str) -> InputError:

@@ -27,6 +27,8 @@ LENGTH_MM = 10.0  # unit of lengths in the network
 PIECE_INPUTS = DIRECTIONS + 3
 PROBE_INPUTS = len(TICKS) * (6 + 2 * MODES) + 2 * len(GROWN) + 4
 WAY = slice(PROBE_INPUTS - 4, PROBE_INPUTS)  # inputs from the first probe and from the last one
+FIELDS = slice(6 * len(TICKS), (6 + 2 * MODES) * len(TICKS))  # inputs of the marker fields
+UNREAD_SCALE = 1e9  # of inputs that a network does not read: they are 0 after the scaling
 
 
 @dataclass(frozen=True, slots=True)

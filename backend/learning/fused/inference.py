@@ -130,14 +130,18 @@ class FusedForward:
     ) -> tuple[float, float]:
         """Return mean square of the standardised inputs, and share of field energy it cannot see.
 
-        Arguments as for ``known``. NaN for signals that are not finite.
+        Arguments as for ``known``. NaN for signals that are not finite. The share is 0 for a
+        network that does not read the fields.
         """
         inputs = self._standardised(wrench, field, offset_mm, face)[:, : features.PROBE_INPUTS]
+        near = float((np.clip(inputs, -LARGEST_SD, LARGEST_SD) ** 2).mean())
+        if (self._scale[features.FIELDS] == features.UNREAD_SCALE).all():
+            return near, 0.0
         fields, modes = features.centre_fields(field), self._modes.astype(np.float64)
         seen = (fields @ modes.swapaxes(-1, -2)) @ modes
         late = np.s_[:, :, LATE:]
         unseen = float(((fields - seen)[late] ** 2).sum() / (fields[late] ** 2).sum())
-        return float((np.clip(inputs, -LARGEST_SD, LARGEST_SD) ** 2).mean()), unseen
+        return near, unseen
 
     def _standardised(
         self, wrench: Array, field: Array, offset_mm: FloatArray, face: features.GraspedFace

@@ -119,6 +119,7 @@ class FusedTraining:
     kick_mm: float = 0.0  # sd per axis of the shift of the centre of mass at a release
     start: Arrays | None = None  # arrays of a network to fine-tune, with its scaling and fields
     shuffled: float = 0.5  # share of the sequences of a step whose probes are in random order
+    wrench_alone: bool = False  # the network does not read the marker fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,6 +271,8 @@ class FusedTrainer:
         rows = sequences.probes[sequences.there]
         self.mean, spread = rows.mean(dim=0), rows.std(dim=0)
         self.scale: Tensor = torch.where(spread > 1e-6, spread, torch.ones(()))
+        if settings.wrench_alone:
+            self.scale[features.FIELDS] = features.UNREAD_SCALE
         self._train = sequences.to(device)
         self._held_out = prepare_sequences(held_out, self.modes, mirror=False).to(device)
         self.held_out_count: int = len(self._held_out.there)

@@ -448,7 +448,7 @@ def test_finished_data_of_any_version_train_an_ensemble(
     ready = ready_sequences(store, bench_v1, "convex")
     assert ready == {"short": jobs[::2], "free": jobs[1::2], "surface": []}
     assert not any(ready_sequences(store, bench_v1, "any").values())
-    recipe = replace(data, steps=2, ready=ready, networks=2)
+    recipe = replace(data, steps=2, ready=ready, networks=2, wrench_alone=True)
     training = recipe.jobs()
     assert [job.kind for job in training] == ["fuse", "fuse", "fuse-join"]
     for result in run_campaign(training, SerialExecutor(KINDS, store), store):
@@ -456,6 +456,7 @@ def test_finished_data_of_any_version_train_an_ensemble(
     found = load_fused(store.folder(training[-1].id) / WEIGHTS)
     assert found.card.hyper.networks == 2
     assert found.card.training["seeds"] == [0, 1000]
+    assert found.card.training["wrench_alone"]
     first, second = found.arrays["answer.weight"]
     assert not np.array_equal(first, second)
 

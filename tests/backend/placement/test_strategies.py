@@ -561,6 +561,12 @@ def test_the_network_for_any_outline_is_named_by_a_setting() -> None:
     assert load_network_of(FusedSettings()).card.outlines == "convex"
 
 
+def test_the_network_of_the_wrench_alone_is_named_by_a_setting() -> None:
+    card = load_network_of(FusedSettings(weights="wrench")).card
+    assert (card.outlines, card.training["wrench_alone"]) == ("convex", True)
+    assert "wrench_alone" not in shipped_fused().card.training
+
+
 EXACT = 1e-6
 STEPS = np.arange(-13.0, 14.0)
 AROUND = np.stack(np.meshgrid(STEPS, STEPS), axis=-1).reshape(-1, 2)

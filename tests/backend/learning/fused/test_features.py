@@ -320,6 +320,23 @@ def test_a_training_learns_and_is_the_same_again() -> None:
     assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
+def test_a_network_of_the_wrench_alone_does_not_read_the_markers() -> None:
+    train, held_out = made_up(48, 1), made_up(16, 2)
+    rng, wrench = np.random.default_rng(5), signals(np.random.default_rng(4), 2)[0]
+    fields = rng.normal(size=(2, 2, 8, 252)).astype(np.float32)
+    for alone in (True, False):
+        settings = FusedTraining(3, 24, seed=3, shape=SMALL, wrench_alone=alone)
+        trainer = FusedTrainer([train], [held_out], settings)
+        list(trainer.steps())
+        again = replace(settings, wrench_alone=False, start=trainer.arrays())
+        for arrays in (trainer.arrays(), FusedTrainer([train], [held_out], again).arrays()):
+            forward = FusedForward(arrays, SMALL)
+            known = [forward.known(wrench, field, np.zeros((2, 2)), FACE) for field in fields]
+            assert np.allclose(*known, rtol=0.0, atol=1e-6) is alone
+            share = forward.distances(wrench, fields[0], np.zeros((2, 2)), FACE)[1]
+            assert (share == 0.0) is alone
+
+
 def test_probes_in_another_order_are_those_of_a_trial_in_that_order() -> None:
     rng, held_out = np.random.default_rng(6), made_up(8, 2)
     train = {**made_up(16, 1), "count": rng.integers(1, 3, 16)}

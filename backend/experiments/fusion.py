@@ -417,7 +417,7 @@ def ready_sequences(
     for path in sorted(store.root.glob(f"*/{SPEC_FILE}")):
         spec = JobSpec.parse(path.read_text(encoding="utf-8"))
         p = spec.params
-        if spec.kind != "sequences":
+        if spec.kind != "sequences" or not store.has(spec.id):
             continue
         if p["bench"] != bench_within(bench, ranges or {}, spec.seed).model_dump(mode="json"):
             continue

@@ -125,7 +125,7 @@ def shipped_path() -> Path:
 
 
 def network_path(weights: str) -> Path:
-    """Return the file of ``FusedSettings.weights``: "" and ``SHIPPED`` name the shipped networks."""
+    """Return the file of ``FusedSettings.weights``: "" and ``SHIPPED`` name those that ship."""
     if weights in SHIPPED:
         return shipped_path().with_stem(weights)
     return Path(weights) if weights else shipped_path()

@@ -79,6 +79,7 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.regions import ell
 from touchdown.backend.geometry.surfaces import Surface
 from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.jobs import SPEC_FILE
 from touchdown.backend.jobs.execution import SerialExecutor, run_campaign
 from touchdown.backend.jobs.job import JobStore, run_job
 from touchdown.backend.learning.checkpoint import card_path, load_checkpoint
@@ -445,6 +446,10 @@ def test_finished_data_of_any_version_train_an_ensemble(
     assert [job.params["free"] for job in jobs] == [False, True, False, True]
     for job in jobs:
         assert run_job(job, KINDS, store).state == "done"
+    # A job that was killed leaves its settings alone.
+    killed = replace(jobs[0], code="a later one")
+    (store.root / "~killed").mkdir()
+    (store.root / "~killed" / SPEC_FILE).write_text(killed.canonical(), encoding="utf-8")
     ready = ready_sequences(store, bench_v1, "convex")
     assert ready == {"short": jobs[::2], "free": jobs[1::2], "surface": []}
     assert not any(ready_sequences(store, bench_v1, "any").values())

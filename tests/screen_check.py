@@ -349,7 +349,7 @@ def plain_words(text: str) -> tuple[str, ...]:
         if part in text.lower():
             text = "".join(_left(text, pattern))
     found, words, beside = list[str](), list[str](), False
-    for word in [*TOKEN.findall(NAMED.sub(" 0 ", text)), "0"]:
+    for word in [*TOKEN.findall(NAMED.sub(" 0 ", text)), ""]:
         if _is_plain(word):
             words.append(word)
             continue

@@ -323,9 +323,9 @@ class TouchdownApp(QObject):
             load_lab(file) if is_lab_file(file) else SimulatedBenchChoice(file=file).settings()
 
         if shell.carry_out(check, self.cards, "BENCH-FILE"):
-            text = tr("Start again with {}? The present bench is disconnected.", file.name)
+            text = tr("Restart the program with {}? The present bench is disconnected.", file.name)
             again = partial(self._start_again, file)
-            self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Start again", again))))
+            self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Restart", again))))
 
     def _start_again(self, file: Path) -> None:
         if shell.carry_out(lambda: self._closing.check_unused(self.bench), self.cards):

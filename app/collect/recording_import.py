@@ -57,7 +57,7 @@ class RecordingSheet(BenchSheet):
         self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
         self.choose_folder = QPushButton(tr("Choose a folder\N{HORIZONTAL ELLIPSIS}"))
         self.preview, self.cancel = QPushButton(tr("Preview")), QPushButton(tr("Cancel"))
-        self.add, self.correct = QPushButton(tr("Import")), QPushButton(tr("Correct the mapping"))
+        self.add, self.correct = QPushButton(tr("Import")), QPushButton(tr("Apply the corrections"))
         self.correct.setToolTip(tr("Set the values to try, and look at the preview again"))
         self.file, self.note = label(NO_FILE, wrap=True), label("", wrap=True)
         self.contents = FigureTable(theme, "Signals of the recording", COLUMNS)

@@ -43,7 +43,7 @@ class DevicesSheet(BenchSheet):
         self.editors: dict[str, QComboBox | QLineEdit] = {}
         self.look, self.save = QPushButton(tr("Look again")), QPushButton(tr("Save"))
         self.swap = QPushButton(tr("Exchange left and right"))
-        self.again = QPushButton(tr("Start again"))
+        self.again = QPushButton(tr("Restart program"))
         self.save.setProperty("role", "primary")
         self.look.setToolTip(tr("Look for serial ports and cameras that are plugged in"))
         self.swap.setToolTip(tr("Each camera to the other finger"))
@@ -123,7 +123,7 @@ def _text(editor: QComboBox | QLineEdit) -> str:
 
 SOURCE = (
     "Change what differs on your bench, then Save: it is written to {}; other entries stay. "
-    "Start again uses what is saved."
+    "Restart program uses what is saved."
 )
 LEFT, RIGHT = "gelsight.left.serial", "gelsight.right.serial"
 ANY = "any"
@@ -237,9 +237,7 @@ class DevicesPresenter:
         except OSError as error:
             sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
-            sheet.say(
-                "Saved. Start again to use it." if values else "Nothing is changed.", bad=False
-            )
+            sheet.say("Saved. Restart to use it." if values else "Nothing is changed.", bad=False)
             set_property(sheet.again, "role", "primary" if values else "")
             set_property(sheet.save, "role", "" if values else "primary")
 

@@ -27,7 +27,7 @@ from touchdown.backend.learning import (
     read_training_run,
     resume_request,
 )
-from touchdown.widgets.base import tr
+from touchdown.widgets.base import set_property, tr
 from touchdown.widgets.forms import TrainingButtons, TrainingForm
 from touchdown.widgets.plots import SampleScene
 from touchdown.widgets.shell import CardQuestion, FaultCards
@@ -354,6 +354,7 @@ class TrainPresenter:
         alone = words.autonomy_text(use.probes if use else None)
         step = words.next_step(self._chosen(), use)
         page.step.setVisible(step is not None and bool(step.button))
+        set_property(page.form.start, "role", "" if step and step.button else "primary")
         if step and step.button:
             page.step.setText(tr(step.button))
         page.step.setEnabled(idle)

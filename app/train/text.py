@@ -33,7 +33,7 @@ FALLS_FURTHER = 0.5
 OVERFIT = 0.1  # gap between held-out and training loss, as a share of the held-out one
 ABOVE = "Not below the model in use: {}. Choose one of them alone to promote it."
 ABOVE_ALONE = "Not below the model in use: Promote puts it in use."
-FALLING = "Below the model in use. Next: train for {} epochs, as the held-out loss of {} falls."
+FALLING = "Below the model in use. Next: train {} epochs, as the held-out loss of {} still falls."
 BY_HEART = (
     "Below the model in use. Next: collect more mountings, as {} fits its {} of {} (loss {:.2f}) "
     "better than held-out ones ({:.2f}). In use: {} of {}."

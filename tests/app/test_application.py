@@ -450,6 +450,7 @@ def test_train_compare_promote_and_roll_back(desk):
     assert "choose one to see its samples" in page.samples._why
     step = next_step([wrench, both], desk.presenter.in_use)
     assert (page.autonomy.text(), page.step.text()) == (step.text, "Train as advised")
+    assert page.form.start.property("role") == ""  # one button stands out
     page.step.click()
     assert desk.presenter.thread is not None
     desk.ended()

@@ -177,10 +177,10 @@ def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:
 def test_start_again_opens_the_saved_file_in_a_new_program(wizard, main, file, tmp_path):
     write(wizard, "wsg.host", "192.168.0.31")
     wizard.save.click()
-    assert wizard.said.text() == "Saved. Start again to use it."
+    assert wizard.said.text() == "Saved. Restart to use it."
     assert [one.property("role") for one in (wizard.again, wizard.save)] == ["primary", ""]
     wizard.again.click()
-    assert main.cards.asks.text.startswith("Start again with lab.toml?")
+    assert main.cards.asks.text.startswith("Restart the program with lab.toml?")
     main.cards.asks.answers[0][1]()
     assert main.next_bench is None
     main.cards.asks.answers[1][1]()

@@ -159,7 +159,7 @@ IN_USE = {"modality": "FT+Tac", "layers": 2, "hidden": 256}
     ("worse", "curves", "said", "changes"),
     [
         ({}, {"held_out": (0.7, 0.65, 0.6, 0.56)},
-         "train for 8 epochs, as the held-out loss of {} falls.", {"epochs": 8}),
+         "train 8 epochs, as the held-out loss of {} still falls.", {"epochs": 8}),
         ({}, {"held_out": (0.7, 0.5, 0.5, 0.44)}, "keep that, as {}", {}),
         ({"probes": 100}, {"train": (0.6, 0.4, 0.3, 0.2)},
          "collect more mountings, as {} fits its 100 probes of 2 mountings (loss 0.20) better than "

@@ -256,7 +256,6 @@ class CollectWorkspace(shell.Workspace):
             self._offered = self._offered if left else show
 
     def _recording_sheet(self) -> RecordingSheet:
-        """Return the sheet that imports recordings, made on first use."""
         if self.recordings is None:
             # The formats of others are imported on first use.
             from touchdown.app.collect.recording_import import RecordingSheet

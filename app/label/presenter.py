@@ -346,7 +346,6 @@ class LabelPresenter:
         self.walk.cover(blind=self.session.opines, hides=self.session.hides)
 
     def _badges_of(self, now: PresentEpisode) -> tuple[str, ...]:
-        """Return the badge of a notable difference to other evidence."""
         return () if self.session.hides else evidence_badges(now.edit, now.item)
 
     def _show_saving(self) -> None:

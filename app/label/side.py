@@ -236,7 +236,6 @@ class SideTabs(Panel):
 
 
 def _top(*widgets: QWidget) -> QWidget:
-    """Return a scroll area with widgets at its top."""
     holder = QWidget()
     vbox(*widgets, 1, parent=holder, margins=(0, 0, 0, 0))
     scroll = scroll_area(holder)

@@ -180,7 +180,6 @@ class ReviewPresenter:
         self._choose_part(chosen)
 
     def _choose_part(self, row: int) -> None:
-        """Show a trial of the run, or an episode of the series."""
         self._page.film.stop()
         self._notes, self.bookmarks = None, []
         self._asked += 1

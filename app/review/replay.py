@@ -52,7 +52,6 @@ class ReplayPresenter:
 
     @property
     def _single(self) -> bool:
-        """True for a probe that belongs to no stacking run."""
         return self.trial is not None and self.trial.head.activity == "probe"
 
     @property
@@ -195,7 +194,6 @@ class ReplayPresenter:
         return scene
 
     def _show_belief(self) -> None:
-        """Update belief and decision if another event is known."""
         page, trial = self._page, self.trial
         known = 0 if trial is None else len(trial.known(self.cursor_s))
         if known == self._known:

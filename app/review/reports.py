@@ -201,7 +201,6 @@ class ReportsPresenter:
 
 
 def _table(table: experiments.ReportTable, theme: Theme) -> list[QWidget]:
-    """Return a table, with the note below it if it has one."""
     columns = ["\n".join(filter(None, names)) for names in table.columns]
     rows = [(name, list(map(_look, entries))) for name, entries in table.rows]
     made: list[QWidget] = [ReportGrid(theme, table.title or "Table", columns, rows)]

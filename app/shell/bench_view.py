@@ -123,7 +123,6 @@ class BenchViewPresenter:
         )  # fmt: skip
 
     def _span(self, piece: SideBody) -> tuple[float, float]:
-        """Return the span of the view that includes the fallen piece."""
         last = self._fallen(piece, at_end=True)
         x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
         return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)

@@ -169,7 +169,6 @@ def unprobed_scene(trial: TrialStory) -> views.BeliefScene:
 
 
 def _weight(found: core.PieceWeighed) -> tuple[str, str]:
-    """Return title and detail of the result of a weighing."""
     (x, y), (x_sigma, y_sigma) = found.com_xy_mm, found.sigma_mm
     at = "Centre of mass {:+.1f} \N{PLUS-MINUS SIGN} {:.1f}, {:+.1f} \N{PLUS-MINUS SIGN} {:.1f} mm"
     title = tr(at, x, x_sigma, y, y_sigma)

@@ -216,7 +216,6 @@ class StackWorkspace(shell.Workspace):
         self.note.ask_note(path, mark, lambda _: self._context.say(said))
 
     def _piece_sheet(self) -> PieceSheet:
-        """Return the sheet that adds a piece, made on first use."""
         if self.pieces is None:
             # Reading of meshes is imported on first use.
             from touchdown.app.stack.piece_import import PieceSheet

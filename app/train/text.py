@@ -166,7 +166,6 @@ def _still_falls(losses: Sequence[float]) -> bool:
 
 
 def _amount(card: ModelCard) -> tuple[str, str]:
-    """Return the numbers of probes and of mountings."""
     mountings = int(card.data.get("mountings") or 0)
     return count_noun(probe_count(card), "probe"), count_noun(mountings, "mounting")
 

@@ -319,7 +319,6 @@ def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> C
 def _leftover(
     parts: DatasetParts, part: Path, by_path: dict[str, EpisodeFileRow]
 ) -> Iterator[ConsistencyProblem]:
-    """Yield the repair of a leftover ``.<episode>.mcap.part``."""
     final = part.with_name(part.name.removeprefix(".").removesuffix(PART))
     row = by_path.get(parts.name(final))
 

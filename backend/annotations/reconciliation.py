@@ -339,7 +339,6 @@ def reconcile(
 def _repaired(
     parts: DatasetParts, findings: Sequence[ConsistencyProblem], again: bool
 ) -> list[ConsistencyProblem]:
-    """Repair in one transaction; return the problems to report."""
     reported: list[ConsistencyProblem] = []
     unrepaired = [finding for finding in findings if finding.repair is None]
     with parts.database.transaction() as connection:

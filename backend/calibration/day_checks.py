@@ -154,7 +154,6 @@ class DayChecks:
         return replace(found, residual=max(shares), residuals=shares, obstacle=obstacle)
 
     def _limits(self, name: str, before: list[DayCheck]) -> tuple[float, float]:
-        """Return the limits of a value after the checks of other days."""
         known, (side, _, key) = quantity(name), name.partition("_")
         low, high, gel = known.low, known.high, self._gels.get(side)
         if key == "markers" and gel:

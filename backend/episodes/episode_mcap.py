@@ -419,7 +419,6 @@ def _fields(contents: ChunkContents, finger: core.Finger) -> list[core.MarkerFie
 def _pictures(
     contents: ChunkContents, topic: Topic
 ) -> Iterator[tuple[int, float, core.ImageArray]]:
-    """Yield sequence number, time and image of each picture."""
     messages = contents.messages.get(topic.name, [])
     numbers = contents.sequence.get(topic.name, [])
     for number, t_s, message in zip(numbers, to_s(stamps_ns(messages)), messages, strict=True):

@@ -393,7 +393,6 @@ class EpisodeImport:
         return str(UUID(int=former >> OWN_BITS << OWN_BITS | own))
 
     def _record(self, foreign: ForeignEpisode, series: str) -> str:
-        """Store one episode; return its id."""
         label = _label(foreign.values)
         origin = self._named.get(foreign.index)
         if origin is not None:

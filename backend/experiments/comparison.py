@@ -120,7 +120,6 @@ def placed_of_ceiling(trials: Trials) -> list[Json]:
 
 
 def _compared_names(found: Mapping[Cell, Any]) -> list[tuple[str, str]]:
-    """Return the strategies to compare, each with its reference."""
     names = dict.fromkeys(strategy for strategy, _, _ in found)
     references = {n: base_strategy(n) if base_strategy(n) != n else PAPER for n in names}
     return [(n, r) for n, r in references.items() if n != PAPER and r in names]

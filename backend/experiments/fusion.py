@@ -182,7 +182,6 @@ def simulate_sequences(
 
 
 def _face_arrays(piece: Piece, n: int) -> dict[str, NDArray[Any]]:
-    """Return what ``n`` sequences of one piece tell of its face."""
     height_mm, com = np.asarray(piece.grip_height_mm), np.asarray(piece.com_xy_mm)
     face = GraspedFace.of(face_points(piece.face), com, height_mm)
     return {

@@ -140,7 +140,6 @@ def tactile_png(episode: core.Episode) -> str:
 
 
 def _with_arrows(image: NDArray[np.uint8], markers: core.MarkerField) -> NDArray[np.uint8]:
-    """Return a copy of a tactile image with the displacements of its markers."""
     drawn = image.copy()
     by_px = markers.displacement_px
     rest_px = markers.position_px - by_px

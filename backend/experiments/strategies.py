@@ -249,7 +249,6 @@ def network_params(strategy: str, method: StackSettings) -> Json:
 
 
 def _chunk(bottom: str) -> int:
-    """Return the largest number of trials of a job."""
     return TOWER_TRIALS_PER_JOB if bottom in (*TOWERS, FRESH) else TRIALS_PER_JOB
 
 

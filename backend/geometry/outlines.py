@@ -102,12 +102,7 @@ class Outline:
         """Exact area."""
         if self.kind == "circle":
             return pi * self.radius_mm**2
-        return sum(_ring_area_mm2(ring) for ring in self.rings)
-
-
-def _ring_area_mm2(ring: Ring) -> float:
-    """Return the area within a ring, negative if it is clockwise."""
-    return 0.5 * sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise((*ring, ring[0])))
+        return float(geometry_of(self).area)
 
 
 @cache

@@ -411,7 +411,6 @@ def _own_pieces() -> tuple[dict[str, Piece], dict[str, InputError]]:
 
 @cache
 def _shipped_pieces() -> Mapping[str, Piece]:
-    """Read the shipped files once."""
     return _read_folder(Path(str(files("touchdown.resources"))) / "objects")
 
 

@@ -520,7 +520,6 @@ class RecordedTraining:
 
 
 def _begin(data: Path, settings: TrainingSettings, parameters: Mapping[str, Any]) -> ActiveRun:
-    """Begin a run of the dataset, or of the folder of packs, ``data``."""
     params = {**parameters, **settings.model_dump(mode="json")}
     fix = "Make room, or give the account the right to write there."
     with disk_errors("No run can be kept there", data, fix):

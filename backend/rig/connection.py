@@ -250,7 +250,6 @@ class BenchConnection:
         self._run_step("gripper", home)
 
     def _run_step(self, name: str, work: Callable[[], None]) -> None:
-        """Run ``work`` and store its fault; clear the former one."""
         try:
             work()
         except FaultError as error:

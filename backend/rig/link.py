@@ -337,7 +337,6 @@ class RigLink:
                 return
 
     def _copy(self, memory: SharedMemory) -> None:
-        """Copy new measurements of the rig into the session's streams."""
         pairs = ((memory.wrench, self.samples), (memory.poses, self.poses))
         with self._copying:
             for k, (ring, stream) in enumerate(pairs):

@@ -124,7 +124,6 @@ class _Remote:
         self._leave()
 
     def _previous_state(self) -> Mapping[str, Any]:
-        """Return the state from before, for the rig."""
         return {}
 
     def _leave(self) -> None:

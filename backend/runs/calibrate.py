@@ -263,7 +263,6 @@ def measure_wrist(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEs
 
 
 def _weighed(bench: Bench) -> Plan[PoseReadings]:
-    """Return the readings of an empty gripper in six poses."""
     if bench.gripper.status().holding:
         raise RefusedError("HOLDING", "A piece is held: put it away, the gripper is weighed empty.")
     return (yield from read_poses(bench))

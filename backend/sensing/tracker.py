@@ -450,7 +450,6 @@ class MarkerTracker:
         return math.sqrt(float(square.mean()))
 
     def _settle(self, position: FloatArray, seen: NDArray[np.bool_], t_s: float) -> None:
-        """Interpolate unseen markers and store the state."""
         self._position = self._hidden.fill(position, seen)
         if not seen.all():
             self._hidden.forget(misordered_markers(self._position) & ~seen)

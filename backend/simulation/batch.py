@@ -551,7 +551,6 @@ class BatchedTrials:
         )
 
     def _outlines(self, rows: NDArray[np.intp]) -> Region:
-        """Return the outlines below the faces of the trials ``rows``."""
         each = tuple(self.scenes[row].surface for row in rows.tolist())
         return each[0] if each.count(each[0]) == len(each) else _OutlinePerTrial(each)
 

@@ -387,7 +387,6 @@ class FingerCamera:
         return taken
 
     def _aim(self) -> None:
-        """Set the time of the next exposure."""
         jitter = 1e6 * self._settings.jitter_s * self._rng.uniform(-1.0, 1.0)
         due = round(self._phase_us + self._next * self._period_us + jitter)
         self._due_us = max(due, self._due_us + 1)

@@ -220,7 +220,6 @@ def _sampled_force(
 
 
 def _state_at(states: list[ContactState], acted: NDArray[np.intp]) -> ContactState:
-    """Return the state of each probe at its cycle end ``acted``."""
     rows = np.arange(len(acted))
     used = states[: int(acted.max()) + 1]
     anchors = np.stack([state.anchor for state in used])[acted, :, rows]

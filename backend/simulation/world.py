@@ -208,7 +208,6 @@ class World:
         return self.scene.start_mm, 0.0
 
     def _scene_now(self) -> Scene:
-        """Return the scene with its bottoms where they slid to."""
         holding = self.holding
         bottoms = self._bottoms if holding is None else holding.bottoms
         return self.scene if bottoms is self.scene.bottoms else replace(self.scene, bottoms=bottoms)

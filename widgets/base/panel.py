@@ -152,7 +152,6 @@ class Columns(QSplitter):
         self._apply()
 
     def _order(self) -> list[int]:
-        """Return the column indices from left to right."""
         usual = list(range(len(self._parts)))
         return [usual[-1], *usual[:-1]] if self._leading else usual
 

@@ -315,7 +315,6 @@ class JogPad(base.Panel):
         return pad
 
     def _pressed_step(self, what: str) -> bool:
-        """Handle a press as one step if a step is selected."""
         if self.pace.step is None:
             return False
         self.step_pressed.emit(what)

@@ -178,7 +178,6 @@ class TraceBuckets:
         self.last = values[-1].copy()
 
     def _advance(self, newest: int) -> None:
-        """Clear the buckets between the last newest one and ``newest``."""
         if self._newest >= 0:
             count = min(newest - self._newest, self.buckets)
             fresh = (self._newest + 1 + np.arange(count)) % self.buckets

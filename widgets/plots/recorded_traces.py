@@ -269,7 +269,6 @@ class PhasePlot(_RecordedPlot):
         return bool(np.isfinite(trace.values[:, 3:5]).all(axis=1).any())
 
     def _square(self, trace: WrenchTrace) -> PlotArea:
-        """Return the drawn square, centred on the path."""
         em = self.fontMetrics().height()
         side = max(min(self.width() - 3.2 * em, self.height() - 3.0 * em), 30.0)
         moments = trace.values[:, 3:5]

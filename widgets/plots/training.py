@@ -58,7 +58,6 @@ class _TrainingPlot(PictureView):
         return self.zoom.of(axes.PlotArea(rect, *x, *y))
 
     def _beside(self, endings: Iterable[str] = ()) -> float:
-        """Return the width of the texts right of the curves."""
         metrics = QFontMetrics(ui_font(self._theme.scale, 0.82, 500))
         return 12.0 + max(metrics.horizontalAdvance(text) for text in (WIDEST_ENDING, *endings))
 

@@ -226,7 +226,6 @@ def _shared_out(groups: Groups, columns: int) -> list[Groups]:
 
 
 def _table(groups: Groups) -> QGridLayout:
-    """Return the rows of some groups, each below its title."""
     grid = QGridLayout()
     grid.setHorizontalSpacing(24)
     grid.setVerticalSpacing(7)

@@ -121,7 +121,6 @@ def magnitude_picture(field: MarkerField, map_name: MapName) -> ImageArray:
 
 
 def _plate(size: QSize, ratio: float) -> QPixmap:
-    """Return a dark plate for a legend on a picture."""
     drawn = QPixmap(size * ratio)
     drawn.setDevicePixelRatio(ratio)
     drawn.fill(QColor(0, 0, 0, 150))

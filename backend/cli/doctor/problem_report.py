@@ -125,7 +125,6 @@ def _people(texts: Iterable[str]) -> set[str]:
 
 
 def _redaction(texts: Iterable[str]) -> Callable[[str], str]:
-    """Return the function that replaces names in a text."""
     words = {person: f"<person {n}>" for n, person in enumerate(sorted(_people(texts)), start=1)}
     words |= {platform.node(): "<computer>", str(Path.home()): "~"}
     with suppress(KeyError, OSError):

@@ -161,7 +161,6 @@ class SampleClock:
         return round(late.least_s / self._period_s)
 
     def _begin(self, arrival_s: float, number: int, period_s: float) -> None:
-        """Restart the fit with another period."""
         self._late = None
         self._chunks.clear()
         self._nominal_s = self._period_s = period_s

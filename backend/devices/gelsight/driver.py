@@ -274,7 +274,6 @@ class TactileCamera:
                 raise OSError("it was unplugged")
 
     def _deliver(self, stop: threading.Event) -> None:
-        """Decode pictures until the stop."""
         while not stop.is_set():
             taken = self._newest.take(TAKE_S)
             if taken is not None:

@@ -157,7 +157,6 @@ class GelsightServer(DeviceServer):
         return self._last
 
     def _changed(self, picture: ImageArray, now_s: float) -> ImageArray:
-        """Return the picture with the present brightness and gel."""
         for kind, fitted in GELS.items():
             if self.faults.active(kind, now_s):
                 picture = fitted(picture)

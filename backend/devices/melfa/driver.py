@@ -510,7 +510,6 @@ class MelfaArm:
             self._wires.pace(running=False)
 
     def _press_by_controller(self, command: PressCommand) -> ArmPress:
-        """End the stream and press with the controller's force program."""
         self._force.refuse(command)
         self._require_ready()
         require_unrotated(self._core.turn)

@@ -202,7 +202,6 @@ def _join_packet(
 
 
 def _open_packet(data: bytes, where: str) -> tuple[int, int, DataTypes]:
-    """Return command, send type and data types."""
     require_length(data, PACKET_BYTES, where)
     command, send_type, first, _ = _HEAD.unpack_from(data, 0)
     second, third, fourth = (_SLOT.unpack_from(data, slot)[0] for slot in _SLOTS)

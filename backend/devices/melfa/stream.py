@@ -235,7 +235,6 @@ class StreamCore:
         self._oversize = 0
 
     def _rest(self) -> None:
-        """Handle a standing command."""
         self.velocity_mm_s, self._turning_rad_s = np.zeros(3), np.zeros(3)
         self._joints_rad_s = np.zeros(6)
 

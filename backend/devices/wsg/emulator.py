@@ -522,7 +522,6 @@ class EmulatedGcl:
         return [self._ended(name.partition("[")[0], WsgStatus.CMD_UNKNOWN, "ACK")]
 
     def _flags(self, name: str, told: WsgReply) -> GclLine:
-        """Return one flag by its number, or all of them as a list."""
         if not told.values or name not in {"SYSFLAGS", *(f"SYSFLAGS[{k}]" for k in range(FLAGS))}:
             return self._ended("SYSFLAGS", told.status or WsgStatus.CMD_FORMAT_ERROR, "ACK")
         word = int(told.values[0])

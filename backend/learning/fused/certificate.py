@@ -241,7 +241,7 @@ class AttemptLog:
             return attempts[-1]
         new = planned.model_copy(update={"number": len(attempts) + 1, "state": "begun"})
         for old in attempts:
-            if set(new.trials) & set(old.trials) or _overlap(new.seeds(), old.seeds()):
+            if set(new.trials) & set(old.trials) or set(new.seeds()) & set(old.seeds()):
                 raise InputError(
                     f"Attempt {old.number} of {old.date:%Y-%m-%d} already used some of these "
                     "scenes; a second look at them would not be independent.",
@@ -272,10 +272,6 @@ class AttemptLog:
         with disk_errors("It cannot be read", self.path, LOG_FIX):
             content = self.path.read_bytes() if self.path.exists() else b""
         return content[: content.rfind(b"\n") + 1]
-
-
-def _overlap(a: range, b: range) -> bool:
-    return bool(a and b) and a.start < b.stop and b.start < a.stop
 
 
 def _bad_log(where: str, what: str) -> InputError:

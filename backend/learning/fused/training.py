@@ -289,7 +289,6 @@ class FusedTrainer:
         self._generator = torch.Generator(device).manual_seed(settings.seed + 1)
 
     def _counted(self, parts: Iterable[Arrays]) -> Iterator[Arrays]:
-        """Yield the parts of the training set; count and hash them."""
         digest = hashlib.sha256()
         self.data: dict[str, Any] = {"sequences": 0, "probes": 0}
         for part in parts:

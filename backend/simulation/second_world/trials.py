@@ -264,7 +264,6 @@ class SecondWorldPress:
         return max(reached, probe.depth_mm * along)
 
     def _cycle(self, from_mm: float, to_mm: float, cycle_s: float) -> None:
-        """Move the command for one cycle, then let the pads follow."""
         model, data, pads = self._mount.model, self._mount.data, self._pads
         steps = round(cycle_s / STEP_S)
         for command_mm in np.linspace(from_mm, to_mm, steps + 1)[1:].tolist():

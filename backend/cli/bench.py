@@ -7,8 +7,8 @@ import json
 import re
 import sys
 import threading
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, astuple
 from functools import partial
 from importlib.resources import files
 from operator import attrgetter
@@ -22,10 +22,11 @@ from touchdown.backend.core import Event, FaultError, InputError, Refused, Refus
 if TYPE_CHECKING:
     from touchdown.backend.bench import Session
     from touchdown.backend.devices import Arm, ForceTorqueSensor, Gripper
-    from touchdown.backend.rig import BenchConnection
+    from touchdown.backend.rig import BenchConnection, SensorTiming
 
 
 WEIGH_S = 0.5  # the weight of the hand is averaged over this time
+TIMING_S = 3.0  # duration of the timing report of the sensors
 TEMPLATE = "lab.toml"
 # keys of a new file without a usable default
 REQUIRED_KEYS = ("ft.address", "gelsight.left.serial", "gelsight.right.serial")
@@ -135,6 +136,7 @@ def placeholders(settings: LabSettings) -> list[str]:
 def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
     from touchdown.backend.bench import LabChoice, lab_session
     from touchdown.backend.cli.connection import line_text, report_devices
+    from touchdown.backend.rig import measure_timing
     from touchdown.backend.runs import RecordingOptions
 
     with lab_session(LabChoice(file), keep=RecordingOptions(None)) as session:
@@ -144,8 +146,12 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
         connection.begin()
         report_devices(connection, screen.say)
         lines, away = connection.lines(), connection.missing()
+        wait = threading.Event().wait
+        timings = [] if away else measure_timing(session.raw, session.clock_s, wait, TIMING_S)
     if away:
         screen.say(f"Not connected: {', '.join(away)}.")
+    if timings:
+        _show_timing(timings, screen)
     screen.result(
         {
             "devices": [
@@ -158,7 +164,8 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
                     "text": line_text(line),
                 }
                 for line in lines
-            ]
+            ],
+            "timing": [asdict(timing) for timing in timings],
         }
     )
     return 1 if away else 0
@@ -296,3 +303,12 @@ def _advance(session: Session, seconds: float) -> None:
     end_s = session.clock_s() + seconds
     while session.clock_s() < end_s:
         session.advance()
+
+
+def _show_timing(timings: Sequence[SensorTiming], screen: VerbOutput) -> None:
+    # Short texts: a terminal with 80 columns would break the numbers.
+    header = ("sensor", "samples", "Hz", "interval\n\N{PLUS-MINUS SIGN}ms, 99 %", "longest\nms",
+              "age\nms", "age ms,\n99 %")  # fmt: skip
+    rows = ((*map(str, astuple(t)[:2]), *(f"{n:.1f}" for n in astuple(t)[2:])) for t in timings)
+    title = f"Time, {TIMING_S:.0f} s at rest, all on this computer's clock"
+    screen.table(title, header, *rows, right=header[1:])

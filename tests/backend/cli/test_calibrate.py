@@ -29,6 +29,7 @@ from touchdown.backend.calibration.result import (
     Quantity,
 )
 from touchdown.backend.cli import calibrate, collect, dataset, import_, main, stack, train
+from touchdown.backend.cli.bench import _show_timing
 from touchdown.backend.cli.collect import coverage_text
 from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
 from touchdown.backend.cli.output import VerbOutput, progress_lines
@@ -36,6 +37,7 @@ from touchdown.backend.config import load_lab
 from touchdown.backend.core import Fault, PhaseEntered, RunFinished
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
+from touchdown.backend.rig.diagnostics import SensorTiming
 from touchdown.backend.runs.recorder import calibrations_folder
 
 
@@ -117,6 +119,15 @@ def test_what_does_not_go_together_is_one_clear_error(lab, capsys, words, where)
     assert main([str(lab) if word == "LAB" else word for word in words]) == 2
     told = capsys.readouterr().err
     assert where in (json.loads(told)["error"]["where"] if "--json" in words else told)
+
+
+def test_the_table_of_times_is_whole_in_a_terminal_of_80_columns(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    timing = SensorTiming("tactile_right", 595, 200.0, 1020.3, 1150.9, 1225.2, 1129.4)
+    _show_timing([timing], VerbOutput())
+    text = capsys.readouterr().out
+    shown = ("tactile_right", "595", "200.0", "1020.3", "1150.9", "1225.2", "1129.4", "99 %")
+    assert all(figure in text for figure in shown)
 
 
 GOOD = CalibrationEstimate(

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from rich.table import Table
 
-from touchdown.backend import bench
+from touchdown.backend import bench, rig
 from touchdown.backend.cli import emulate, main
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.cli.settings import as_toml, load_method
@@ -317,11 +317,16 @@ def test_a_bench_is_not_ready_with_a_wrist_sensor_that_does_not_weigh_its_hand(
     ft = {"driver": "dynpick", "address": wrist.url}
     sensor = make_force_torque(HardwareSettings.model_validate({"ft": ft}), time.monotonic)
     connection = BenchConnection({"force_torque": sensor})
-    session = SimpleNamespace(connection=connection, close=sensor.close)
+    session = SimpleNamespace(connection=connection, close=sensor.close, raw=None, clock_s=None)
     monkeypatch.setattr(bench, "lab_session", lambda choice, keep: closing(session))
+    timing = rig.SensorTiming("force_torque", 3, *(5 * (float("nan"),)))
+    monkeypatch.setattr(rig, "measure_timing", lambda *_: [timing])
     ready = hand == "sound"
     assert main(["bench", str(lab), "--connect", "--json"]) == (0 if ready else 1)
     wrist.close()
-    (line,) = json.loads(capsys.readouterr().out)["devices"]
+    told = json.loads(capsys.readouterr().out)
+    (line,) = told["devices"]
     assert line["state"] == ("ready" if ready else "failed")
+    figures = [(one["name"], one["samples"], one["rate_hz"]) for one in told["timing"]]
+    assert figures == ([("force_torque", 3, None)] if ready else [])
     assert ("mounting.payload_kg = 1.4 weighs 13.7 N" in line["text"]) != ready

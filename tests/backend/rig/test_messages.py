@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,13 +23,20 @@ from tests.backend.rig.hosted import Hosted
 from tests.backend.rig.scripted import LINES, held, scripted
 from touchdown.backend.bench.emulator_registry import emulate
 from touchdown.backend.config.hardware import HardwareSettings
-from touchdown.backend.core import InputError, RefusedError
+from touchdown.backend.core import (
+    InputError,
+    ManualClock,
+    RawStreams,
+    RefusedError,
+    SampleStream,
+    Stream,
+)
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.melfa.driver import MelfaArm
 from touchdown.backend.emulation.serving import EmulationChoice
 from touchdown.backend.rig import diagnostics as looking
 from touchdown.backend.rig.connection import BenchConnection
-from touchdown.backend.rig.diagnostics import examine_devices
+from touchdown.backend.rig.diagnostics import SensorTiming, examine_devices, measure_timing
 from touchdown.backend.rig.memory import (
     BACKEND_BEAT,
     NOTES,
@@ -526,3 +534,59 @@ def test_the_death_of_a_parent_is_seen_and_its_life_too():
         os.kill(child.pid, signal.SIGKILL)
         # Nobody has taken note of its end yet: for its child it has the same number all the while.
         assert child.stdout.readline() == "gone\n"
+
+
+class Sensor:
+    """Delivers a sample every ``period_us``, stamped ``delay_us`` before it comes."""
+
+    def __init__(self, stream, period_us: int, delay_us: int, silent=range(0)) -> None:
+        self.stream, self._period_us, self._delay_us = stream, period_us, delay_us
+        self._silent = silent
+
+    def come(self, before_us: int, now_us: int) -> None:
+        for at_us in range(before_us + 1, now_us + 1):
+            if at_us % self._period_us or at_us // self._period_us in self._silent:
+                continue
+            t_s = 1e-6 * (at_us - self._delay_us)
+            if isinstance(self.stream, SampleStream):
+                self.stream.put(np.array([t_s]), np.zeros((1, 1)))
+            else:
+                self.stream.put(t_s, SimpleNamespace(t_s=t_s))
+
+
+@pytest.fixture
+def report() -> dict[str, SensorTiming]:
+    clock = ManualClock()
+    sensors = (
+        Sensor(SampleStream("steady", 1, 10_000), 4000, 1000),
+        Sensor(SampleStream("late", 1, 10_000), 40_000, 30_000),
+        Sensor(Stream("holes", 10_000), 10_000, 0, silent=range(50, 56)),
+        Sensor(Stream("silent", 10_000), 10_000, 0, silent=range(10**6)),
+    )
+
+    def wait(seconds: float) -> None:
+        before_us = clock.now_us
+        clock.advance(round(1e6 * seconds))
+        for sensor in sensors:
+            sensor.come(before_us, clock.now_us)
+
+    samples, poses, left, right = (sensor.stream for sensor in sensors)
+    raw = RawStreams({"left": left, "right": right}, samples, poses)
+    return {one.name: one for one in measure_timing(raw, clock.now_s, wait, 2.0)}
+
+
+def test_each_sensor_is_told_by_its_rate_its_age_and_its_gaps(report):
+    steady, late, holes = report["steady"], report["late"], report["holes"]
+    assert steady.rate_hz == pytest.approx(250.0)
+    assert (steady.spread_ms, steady.gap_ms) == pytest.approx((0.0, 4.0), abs=1e-6)
+    assert steady.age_ms == pytest.approx(1.0)
+    assert late.rate_hz == pytest.approx(25.0)
+    assert (late.age_ms, late.late_ms) == pytest.approx((30.0, 30.0))
+    assert holes.rate_hz == pytest.approx(193 / 1.99)
+    assert holes.gap_ms == pytest.approx(70.0)
+    assert holes.age_ms == pytest.approx(0.0, abs=1e-6)
+
+
+def test_of_a_silent_sensor_nothing_is_told(report):
+    assert report["silent"].samples == 0
+    assert math.isnan(report["silent"].rate_hz)

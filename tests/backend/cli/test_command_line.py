@@ -797,6 +797,8 @@ class Interrupt:
         if name == sys.argv[-1]:
             os.kill(os.getpid(), signal.SIGINT)
 
+# A job in the background of a shell inherits an ignored SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.meta_path.insert(0, Interrupt())
 from touchdown.__main__ import main
 sys.exit(main())

@@ -424,7 +424,7 @@ def _is_data(device: object) -> bool:
         isinstance(sheet, ReportSheet)
         and any(
             part is device or part.isAncestorOf(device)
-            for part in (sheet.room, sheet.head, sheet.banner, sheet.file, sheet.parts, sheet.trace)
+            for part in (sheet.room, sheet.head, sheet.banner, sheet.file, sheet.parts)
         )
     )
 

@@ -304,7 +304,7 @@ DATA = frozenset(
 )  # fmt: skip
 WORD = re.compile(r"[^\W\d_]+(?:['\u2019][^\W\d_]+)?")
 NAMED = re.compile(
-    r"<[^<>]*>|\S*[\d_/\\.]\S*[\w/]|'[^']*'|\b(?:Ctrl|Alt|Shift)\+\S+|\[[A-Z-]+\]"
+    r"<[^<>]*>|\S*[\d_/\\.]\S*[\w/]|'[^']*'|\b(?:Ctrl|Alt|Shift)\+\S+|\[[A-Za-z-]+\]"
     r"|(?<=\d) to (?=[\d\u2212-])"
 )
 TOKEN = re.compile(rf"\d|\0|{WORD.pattern}")

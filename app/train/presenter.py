@@ -355,6 +355,7 @@ class TrainPresenter:
         step = words.next_step(self._chosen(), use)
         page.step.setVisible(step is not None and bool(step.button))
         set_property(page.form.start, "role", "" if step and step.button else "primary")
+        page.form.fit_to_theme()
         if step and step.button:
             page.step.setText(tr(step.button))
         page.step.setEnabled(idle)

@@ -209,8 +209,8 @@ class FormFields(QGridLayout):
 
 def draw_run_icons(theme: Theme, start: QAbstractButton, *others: QAbstractButton) -> None:
     """Draw the icons of Start and, if given, Pause or Resume and Cancel in the theme's colours."""
-    tokens = theme.tokens
-    start.setIcon(icon("play", tokens.colour("panel" if start.isEnabled() else "disabled")))
+    tokens, ground = theme.tokens, "panel" if start.property("role") == "primary" else "text"
+    start.setIcon(icon("play", tokens.colour(ground if start.isEnabled() else "disabled")))
     for button, name in zip(others, ("pause", "cancel"), strict=False):
         name = "play" if button.text() == tr("Resume") else name
         button.setIcon(icon(name, tokens.colour("text" if button.isEnabled() else "disabled")))

@@ -178,7 +178,7 @@ USUAL_N, USUAL_LEVER_M, USUAL_MM = 8.0, 0.02, 1.0  # of a press; an unknown unit
 
 
 class Contradiction(NamedTuple):
-    """Contradictions of a mapping; values to try where they follow from the signals."""
+    """A contradiction of the mapping, with values to try if they follow from the signals."""
 
     text: str
     changes: Sequence[MappingChange] = ()

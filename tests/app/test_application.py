@@ -8,11 +8,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from PySide6.QtCore import QEventLoop, Qt, QTimer
+from PySide6.QtGui import QColor
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QPushButton
 
@@ -451,6 +453,11 @@ def test_train_compare_promote_and_roll_back(desk):
     step = next_step([wrench, both], desk.presenter.in_use)
     assert (page.autonomy.text(), page.step.text()) == (step.text, "Train as advised")
     assert page.form.start.property("role") == ""  # one button stands out
+    image = page.form.start.icon().pixmap(20).toImage()
+    places = product(range(image.width()), range(image.height()))
+    drawn = max((image.pixelColor(x, y) for x, y in places), key=QColor.alpha)
+    ink = page.form._theme.tokens.colour("text")
+    assert drawn.name() == ink.name()
     page.step.click()
     assert desk.presenter.thread is not None
     desk.ended()

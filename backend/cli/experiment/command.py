@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -141,7 +142,10 @@ def _ranges(path: Path) -> dict[str, list[float]]:
     """Return the ranges in the figures of an identification; raises ``InputError``."""
     try:
         found = json.loads(read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
-        return {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
+        ranges = {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
+        if not all(0.0 <= high - low < math.inf for low, high in ranges.values()):
+            raise ValueError
+        return ranges
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("This file has no ranges.", str(path), RANGES_FIX) from error
 

@@ -824,3 +824,12 @@ def test_ctrl_c_during_the_imports_prints_no_traceback(module, said) -> None:
 def test_the_installed_program_is_the_one_that_ctrl_c_ends_silently() -> None:
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
     assert project["project"]["scripts"]["touchdown"] == "touchdown.__main__:main"
+
+
+@pytest.mark.parametrize("bounds", ["[NaN, 8.0]", "[8.0, 2.0]", "[0.0, Infinity]"])
+def test_ranges_that_cannot_be_drawn_from_are_one_error(bounds, tmp_path, capsys) -> None:
+    ranges = tmp_path / "ranges.json"
+    ranges.write_text(f'{{"randomisation": {{"grasp.shear_n_mm": {bounds}}}}}', "utf-8")
+    arguments = ["--ranges", str(ranges), "--steps", "0", "--out", str(tmp_path / "out")]
+    assert main(["experiment", "fused", *arguments]) == 2
+    assert "This file has no ranges." in capsys.readouterr().err

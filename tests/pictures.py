@@ -40,6 +40,14 @@ FILM_STEP_S, FRAME_MS, LAST_FRAME_MS = 0.5, 100, 3000  # five times the speed of
 STEPS = 100_000  # steps of the bench clock after which something has gone wrong
 
 
+def pixels_of(widget: QWidget) -> Any:
+    """Return a picture of a widget as (height, width, 3) bytes, BGR."""
+    image = widget.grab().toImage().convertToFormat(QImage.Format.Format_BGR888)
+    rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
+    # A copy: the array does not keep the image alive.
+    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
+
+
 class SteppedSession:
     """Session without a thread; the caller advances its time."""
 
@@ -112,21 +120,10 @@ class Day:
             self.main.pump.tick()
             QApplication.processEvents()
         # The lowest bit is camera noise and takes a sixth of the file.
-        pixels = self._pixels(widget) & 0xFE
+        pixels = pixels_of(widget or self.main.window) & 0xFE
         _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         self._files.keep(f"{name}.png", png.tobytes())
         self.main.look.show("dark", 1.0)
-
-    def _pixels(self, widget: QWidget | None = None) -> Any:
-        """Return the window, or a widget, as (height, width, 3) bytes, BGR."""
-        image = (
-            (widget or self.main.window)
-            .grab()
-            .toImage()
-            .convertToFormat(QImage.Format.Format_BGR888)
-        )
-        rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
-        return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
 
     def stack(self) -> None:
         main, workspace = self.main, self.main.workspaces["stack"]
@@ -155,9 +152,13 @@ class Day:
                     self.session.clock_s() > at_s or workspace.presenter.story.ended is not None
                 )
             )
-            frames.append(cv2.resize(self._pixels(), FILM_SIZE, interpolation=cv2.INTER_AREA))
+            frames.append(
+                cv2.resize(pixels_of(self.main.window), FILM_SIZE, interpolation=cv2.INTER_AREA)
+            )
         self.go_on()
-        frames.append(cv2.resize(self._pixels(), FILM_SIZE, interpolation=cv2.INTER_AREA))
+        frames.append(
+            cv2.resize(pixels_of(self.main.window), FILM_SIZE, interpolation=cv2.INTER_AREA)
+        )
         film = cv2.Animation()
         film.frames = frames
         film.durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]

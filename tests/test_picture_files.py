@@ -277,3 +277,11 @@ def test_a_translation_changes_order_and_plural_of_composed_texts(qtbot, transla
     seed = tr("Seed {}: {} after {}.", 7, tr("placed"), count_noun(3, "probe"))
     assert seed == "Startwert 7: nach 3 Proben gestellt."
     assert tr("No trial yet") == "No trial yet"
+
+
+def test_the_pixels_of_a_picture_outlive_its_image(qtbot):
+    shown = QLabel("Placed")
+    qtbot.addWidget(shown)
+    kept = [pictures.pixels_of(shown) for _ in range(20)]
+    assert all(one.flags.owndata for one in kept)
+    assert all(np.array_equal(one, kept[0]) for one in kept)

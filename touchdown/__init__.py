@@ -8,7 +8,6 @@ Method: Ota, Jha, Jatavallabhula, Kanezaki, Tenenbaum, "Tactile Estimation of Ex
 Patch for Stable Placement", ICRA 2024, arXiv:2309.14552.
 """
 
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import lazy_loader
@@ -27,5 +26,4 @@ if TYPE_CHECKING:
         sensing,
     )
 
-__version__ = version("touchdown")
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

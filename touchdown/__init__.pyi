@@ -20,6 +20,7 @@ from .backend.core import RefusedError as RefusedError
 from .backend.core import Stability as Stability
 from .backend.core import TactileFrame as TactileFrame
 from .backend.core import TouchdownError as TouchdownError
+from .backend.core import __version__ as __version__
 from .backend.exchange import ExportResult as ExportResult
 from .backend.exchange import export as export
 from .backend.geometry import load_pieces as load_pieces
@@ -32,5 +33,3 @@ from .backend.placement import Estimator as Estimator
 from .backend.runs import CollectRequest as CollectRequest
 from .backend.runs import StackRequest as StackRequest
 from .backend.sensing import track_markers as track_markers
-
-__version__: str

@@ -15,7 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, without_window, write_new
+from touchdown.backend.cli.output import VerbOutput, without_window, write_new
 from touchdown.backend.config import PLACEHOLDERS, Lab, LabSettings, load_lab
 from touchdown.backend.core import Event, FaultError, InputError, Refused, RefusedError
 
@@ -100,18 +100,16 @@ def _show(lab: Lab, screen: VerbOutput) -> None:
     made_up = placeholders(settings)
     if made_up and settings.kind == "hardware":
         screen.say(f"Placeholders, enter the values of the lab: {', '.join(made_up)}.")
-    screen.result(
-        {
-            "name": settings.name,
-            "kind": settings.kind,
-            "piece": settings.piece,
-            "bottom": settings.bottom,
-            "limits": settings.limits.model_dump(mode="json"),
-            "devices": _devices(settings),
-            "placeholders": made_up,
-            "calibrations": str(lab.calibrations),
-        }
-    )
+    screen.result({
+        "name": settings.name,
+        "kind": settings.kind,
+        "piece": settings.piece,
+        "bottom": settings.bottom,
+        "limits": settings.limits.model_dump(mode="json"),
+        "devices": _devices(settings),
+        "placeholders": made_up,
+        "calibrations": str(lab.calibrations),
+    })  # fmt: skip
 
 
 def _devices(settings: LabSettings) -> dict[str, str]:
@@ -152,22 +150,20 @@ def _connect(file: Path, payload_kg: float, screen: VerbOutput) -> int:
         screen.say(f"Not connected: {', '.join(away)}.")
     if timings:
         _show_timing(timings, screen)
-    screen.result(
-        {
-            "devices": [
-                {
-                    "name": line.name,
-                    "state": line.state,
-                    "steps": line.steps,
-                    "identity": None if line.identity is None else asdict(line.identity),
-                    "needs": line.needs,
-                    "text": line_text(line),
-                }
-                for line in lines
-            ],
-            "timing": [asdict(timing) for timing in timings],
-        }
-    )
+    screen.result({
+        "devices": [
+            {
+                "name": line.name,
+                "state": line.state,
+                "steps": line.steps,
+                "identity": None if line.identity is None else asdict(line.identity),
+                "needs": line.needs,
+                "text": line_text(line),
+            }
+            for line in lines
+        ],
+        "timing": [asdict(timing) for timing in timings],
+    })  # fmt: skip
     return 1 if away else 0
 
 
@@ -264,7 +260,7 @@ def _move(session: Session, action: str, args: argparse.Namespace, screen: VerbO
     else:
         session.events.subscribe(partial(_say_refusal, screen))
         hand.jog.step("z", "XYZ", LIFT_MM, LIFT_MM_S)
-    with ctrl_c_cancels(session.stop):
+    with screen.ctrl_c_cancels(session.stop):
         while hand.active and not session.interlock.latched:
             session.advance()
     if session.interlock.faults:

@@ -28,7 +28,7 @@ from touchdown.backend.calibration import (
     quantity_name,
 )
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, without_window
+from touchdown.backend.cli.output import VerbOutput, without_window
 from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
@@ -123,12 +123,16 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         session.calibrations = store
         told = _CalibrationProgress(screen, bars, session)
         session.events.subscribe(told.take)
-        with ctrl_c_cancels(session.engine.cancel), connection.held_piece_reported(session, screen):
+        with (
+            screen.ctrl_c_cancels(session.engine.cancel),
+            connection.held_piece_reported(session, screen),
+        ):
             session.run(request)
         if what != "day":
             return _report(args, session, told, screen)
         if told.measured is None:
-            raise RefusedError("NO-CHECK", "" if told.ended is None else told.ended.reason)
+            reason = "" if told.ended is None else told.ended.reason
+            raise RefusedError("NO-CHECK", reason, "Run the check again.")
         assert session.calibrations is not None
         return _report_day(session.calibrations, session.day_checks, screen)
 
@@ -272,9 +276,9 @@ def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
     limit = LABORATORY_LIMIT if args.limit is None else args.limit
     if not 0.0 < limit < 1.0:
         raise InputError("The limit is no share.", "--limit", "Give it between 0 and 1.")
-    bench = load_lab(Path(args.bench)).identity
-    if args.calibrations:
-        bench = replace(bench, calibrations=Path(args.calibrations))
+    store = _store_of(args)
+    store.check_writable()  # before an attempt is spent
+    bench = replace(load_lab(Path(args.bench)).identity, calibrations=store.folder)
     folder = args.runs or data_folder() / "runs"
     if not folder.is_dir():
         raise InputError("There is no such folder.", str(folder), "Name the folder of the runs.")

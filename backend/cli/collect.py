@@ -13,7 +13,7 @@ from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, progress_lines
+from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             # The bar starts with the campaign, after the arguments are checked.
             with (
                 ExitStack() as bars,
-                ctrl_c_cancels(session.engine.cancel),
+                screen.ctrl_c_cancels(session.engine.cancel),
                 connection.held_piece_reported(session, screen),
             ):
                 told = _CollectionProgress(screen, bars, session)

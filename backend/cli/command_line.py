@@ -85,21 +85,27 @@ class DefaultsFormatter(argparse.HelpFormatter):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; ``argv`` without the name of the program (default: ``sys.argv``)."""
     words = list(sys.argv[1:] if argv is None else argv)
+    screen = VerbOutput(json="--json" in words, lab=_lab_of(words[1:]))
+    status = _run(words, screen)
+    return INTERRUPTED if screen.interrupted and status == FAILED else status
+
+
+def _run(words: list[str], screen: VerbOutput) -> int:
     try:
-        return _dispatch(words)
+        return _dispatch(words, screen)
     except InputError as error:
-        _complain(words, error.what, error.where, error.fix)
+        _complain(screen, error.what, error.where, error.fix)
         return BAD_INPUT
     except FaultError as error:
         fault = error.fault
-        _complain(words, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
+        _complain(screen, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
         return FAILED
     except RefusedError as error:
         fix = error.next_step or "Correct this and run the command again."
-        _complain(words, error.what, error.reason, fix)
+        _complain(screen, error.what, error.reason, fix)
         return FAILED
     except TouchdownError as error:
-        _complain(words, str(error), type(error).__name__, "")
+        _complain(screen, str(error), type(error).__name__, "")
         return FAILED
     except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
@@ -112,11 +118,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None:
             raise
         what, fix = f"{error.strerror}.", "Check the path, its permissions and the free space."
-        _complain(words, what, str(error.filename), fix)
+        _complain(screen, what, str(error.filename), fix)
         return BAD_INPUT
 
 
-def _dispatch(words: list[str]) -> int:
+def _dispatch(words: list[str], screen: VerbOutput) -> int:
     if not words or words[0].startswith("-"):
         front = _front()
         front.parse_args(words)
@@ -133,7 +139,7 @@ def _dispatch(words: list[str]) -> int:
     elif unknown:
         parser.error(f"unknown argument: {' '.join(unknown)}")
     run = importlib.import_module(module_of(name)).run
-    return int(run(args, VerbOutput(json=args.json, lab=_lab_of(rest))))
+    return int(run(args, screen))
 
 
 def parser_of(verb: str) -> Parser:
@@ -155,7 +161,7 @@ def _lab_of(words: list[str]) -> str:
         file = value.removeprefix("--bench=")
         if option in ("", "--bench") or file != value:
             # A file that cannot be read is reported by the verb itself.
-            with suppress(InputError):
+            with suppress(InputError, OSError):
                 if file.endswith(".toml") and Path(file).is_file() and is_lab_file(Path(file)):
                     return file
     return ""
@@ -182,10 +188,9 @@ def _front() -> Parser:
     return front
 
 
-def _complain(words: list[str], what: str, where: str, fix: str) -> None:
-    lab = _lab_of(words[1:])
-    what, fix = without_window(what, lab), without_window(fix, lab)
-    if "--json" in words:
+def _complain(screen: VerbOutput, what: str, where: str, fix: str) -> None:
+    what, fix = without_window(what, screen.lab), without_window(fix, screen.lab)
+    if screen.json:
         body = {"error": {"what": what, "where": where, "fix": fix}}
         sys.stderr.write(json.dumps(body) + "\n")
         return

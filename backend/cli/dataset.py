@@ -89,12 +89,9 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Rebuild the catalogue from files, packs and journal; return 1 if it differs."""
     result = rebuild_dataset(folder, replace=args.replace)
     columns = ("rows", "only in the old", "only in the new")
+    sides = (result.only_old, result.only_new)
     counts = [
-        (
-            name,
-            str(rows),
-            *(str(only.get(name, "-")) for only in (result.only_old, result.only_new)),
-        )
+        (name, str(rows), *(str(only.get(name, "-")) for only in sides))
         for name, rows in result.rows.items()
     ]
     screen.table("catalogue rebuilt", ("table", *columns), *counts, right=columns)
@@ -106,13 +103,11 @@ def rebuild(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         screen.say("Both are equal." if result.equal else "They differ.")
     if result.replaced:
         screen.say("The new catalogue is in use; the old one is in quarantine.")
-    screen.result(
-        {
-            "dataset": str(folder), "rows": result.rows, "only_old": result.only_old,
-            "only_new": result.only_new, "equal": result.equal, "replaced": result.replaced,
-            "notices": list(result.notices),
-        }
-    )  # fmt: skip
+    screen.result({
+        "dataset": str(folder), "rows": result.rows, "only_old": result.only_old,
+        "only_new": result.only_new, "equal": result.equal, "replaced": result.replaced,
+        "notices": list(result.notices),
+    })  # fmt: skip
     return 0 if result.equal or (result.replaced and not result.old_readable) else 1
 
 

@@ -23,7 +23,7 @@ from touchdown.backend.bench import (
     serve_bench,
     shorten_switch_interval,
 )
-from touchdown.backend.cli.output import VerbOutput, ctrl_c_cancels, text_table
+from touchdown.backend.cli.output import VerbOutput, text_table
 from touchdown.backend.core import (
     FINGERS,
     InputError,
@@ -143,7 +143,7 @@ def _serve(
         else:
             screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
         screen.say("Ctrl-C ends it.")
-        with ctrl_c_cancels(end.set):
+        with screen.ctrl_c_cancels(end.set):
             _watch(emulation, end, args.for_s, screen)
     finally:
         if world is not None:
@@ -153,18 +153,16 @@ def _serve(
     seen = None if world is None else world.driver_observations()
     if seen is not None:
         screen.say(f"Recorded by the devices: {seen}.")
-    screen.result(
-        {
-            "kind": args.kind,
-            "address": address,
-            "bench": tables,
-            "seconds": round(time.monotonic() - begun_s, 3),
-            "clients": front.clients,
-            "received_bytes": front.received,
-            "sent_bytes": front.sent,
-            "seen": None if seen is None else asdict(seen),
-        }
-    )
+    screen.result({
+        "kind": args.kind,
+        "address": address,
+        "bench": tables,
+        "seconds": round(time.monotonic() - begun_s, 3),
+        "clients": front.clients,
+        "received_bytes": front.received,
+        "sent_bytes": front.sent,
+        "seen": None if seen is None else asdict(seen),
+    })  # fmt: skip
     return 0
 
 

@@ -84,20 +84,18 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             f"{fitted.error_before:.3f} before, {fitted.error_after:.3f} after. Stored with "
             f"{args.model}"
         )
-    screen.result(
-        {
-            "model": str(args.model),
-            "calibration": fitted and fitted.model_dump(),
-            "piece": card.piece,
-            "modality": card.modality,
-            "delta": args.delta,
-            "simulated": card.simulated,
-            "hardware_probes": 0 if real is None else len(real),
-            "trained_on": sorted(trained_on),
-            **{name: card.data.get(name) for name in ("pretrained", "mixed")},
-            "scores": {name: s.as_json() for name, s in scores.items()},
-        }
-    )
+    screen.result({
+        "model": str(args.model),
+        "calibration": fitted and fitted.model_dump(),
+        "piece": card.piece,
+        "modality": card.modality,
+        "delta": args.delta,
+        "simulated": card.simulated,
+        "hardware_probes": 0 if real is None else len(real),
+        "trained_on": sorted(trained_on),
+        **{name: card.data.get(name) for name in ("pretrained", "mixed")},
+        "scores": {name: s.as_json() for name, s in scores.items()},
+    })  # fmt: skip
     return 0
 
 

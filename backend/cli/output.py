@@ -55,6 +55,7 @@ class VerbOutput:
             file=self._stream, quiet=json, highlight=False, markup=False, soft_wrap=True
         )
         self._answered = False
+        self.interrupted = False  # by a Ctrl-C that ``ctrl_c_cancels`` took
 
     def say(self, text: str) -> None:
         """Print a sentence for people; steps in the window become commands for ``lab``."""
@@ -109,6 +110,28 @@ class VerbOutput:
             return
         with Live(console=self._console, refresh_per_second=4) as live:
             yield live.update
+
+    @contextmanager
+    def ctrl_c_cancels(self, cancel: Callable[[], object]) -> Iterator[None]:
+        """Call ``cancel`` at the first Ctrl-C; the second one interrupts.
+
+        The first one interrupts as well if ``cancel`` returns False: nothing to cancel yet.
+        """
+
+        def once(_signal: int, _frame: FrameType | None) -> None:
+            signal.signal(signal.SIGINT, before)
+            self.interrupted = True
+            if cancel() is False:
+                raise KeyboardInterrupt
+
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = signal.signal(signal.SIGINT, once)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     def result(self, mapping: Mapping[str, object]) -> None:
         """With ``json``: print ``mapping`` as the one JSON object; RuntimeError the second time.
@@ -217,28 +240,6 @@ def without_window(text: str, lab: str = "") -> str:
 
         text = re.sub(step, replaced, text)
     return text
-
-
-@contextmanager
-def ctrl_c_cancels(cancel: Callable[[], object]) -> Iterator[None]:
-    """Call ``cancel`` at the first Ctrl-C; the second one interrupts.
-
-    The first one interrupts as well if ``cancel`` returns False: there is nothing to cancel yet.
-    """
-
-    def once(_signal: int, _frame: FrameType | None) -> None:
-        signal.signal(signal.SIGINT, before)
-        if cancel() is False:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, once)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def write_new(path: Path, text: str) -> None:

@@ -125,7 +125,7 @@ def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
                 raise core.InputError("No signals are compared in this run.", "--reset-guard", fix)
             guard.reset(args.reset_guard)
         with (
-            output.ctrl_c_cancels(session.engine.cancel),
+            screen.ctrl_c_cancels(session.engine.cancel),
             connection.held_piece_reported(session, screen),
         ):
             result = session.run(request)

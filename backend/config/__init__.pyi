@@ -21,6 +21,7 @@ from .lab import load_lab as load_lab
 from .lab import save_lab as save_lab
 from .method import EARLY_TICKS as EARLY_TICKS
 from .method import SAMPLES_PER_PROBE as SAMPLES_PER_PROBE
+from .method import SHIPPED_NETWORKS as SHIPPED_NETWORKS
 from .method import TICK_S as TICK_S
 from .method import BeliefSettings as BeliefSettings
 from .method import CollectSettings as CollectSettings

@@ -197,6 +197,9 @@ class TowerSettings(Settings):
     sigma_mm: Sigma = 2.5
 
 
+SHIPPED_NETWORKS = ("any", "wrench")  # beside the default: for any outline; of the wrench alone
+
+
 class FusedSettings(Settings):
     """Strategy ``fused``: a network fuses the signals of all probes."""
 
@@ -219,6 +222,17 @@ class FusedSettings(Settings):
     # Release only if the centre of mass lies within the hull of the measured centres of pressure,
     # by twice this standard deviation; for convex faces; 0: not required [U].
     pressure_sd_mm: Annotated[float, Field(ge=0, le=50)] = 0.0
+
+    @field_validator("weights")
+    @classmethod
+    def _names_network(cls, weights: str) -> str:
+        if weights in ("", *SHIPPED_NETWORKS) or weights.endswith(".safetensors"):
+            return weights
+        names = ", ".join(f"'{name}'" for name in SHIPPED_NETWORKS)
+        raise ValueError(
+            f"there is no network '{weights}'; give '' (the default), {names} or the path of a "
+            "file that ends with .safetensors"
+        )
 
     def accepted_risk(self, probes: int, most: int) -> float:
         """Return the accepted risk after ``probes`` of at most ``most`` probes.

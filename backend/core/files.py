@@ -256,6 +256,9 @@ def package_version(package: str) -> str:
         return ""
 
 
+__version__ = package_version("touchdown")
+
+
 def require_package(module: str, extra: str = "exchange", package: str = "") -> ModuleType:
     """Import an optional package; raises ``InputError`` with its extra if it is not installed."""
     try:

@@ -15,7 +15,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.resources import files
@@ -27,7 +26,7 @@ from rich.text import Text
 
 from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.core import InputError, data_folder, package_version
+from touchdown.backend.core import InputError, check_writable, data_folder, package_version
 
 if TYPE_CHECKING:
     from touchdown.backend.config import Lab, LabSettings
@@ -105,12 +104,9 @@ def check_processors() -> DoctorCheck:
 
 def check_data_folder(folder: Path | None = None) -> DoctorCheck:
     """Check that the data folder can be written."""
-    if folder is None:
-        folder = data_folder()
+    folder = folder or data_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(b"touchdown")
+        check_writable(folder)
     except OSError as error:
         reason = error.strerror or "not writable"
         fix = "Name another folder in TOUCHDOWN_DATA, or change its permissions."
@@ -194,9 +190,8 @@ def check_qt_versions() -> DoctorCheck:
         return DoctorCheck("qt", True, absent, 'pip install "touchdown[app]"')
     shiboken = package_version("shiboken6")
     if shiboken != qt:
-        return DoctorCheck(
-            "qt", False, f"PySide6-Essentials {qt} with shiboken6 {shiboken}", QT_INSTALL
-        )
+        pair = f"PySide6-Essentials {qt} with shiboken6 {shiboken}"
+        return DoctorCheck("qt", False, pair, QT_INSTALL)
     spec = importlib.util.find_spec("PySide6")
     if spec is None or spec.origin is None:
         # Uninstalling PySide6-Addons removes the shared PySide6/__init__.py.
@@ -207,9 +202,8 @@ def check_qt_versions() -> DoctorCheck:
     full = package_version("PySide6")
     if full and not fault:
         fault = f"PySide6 {full} and PySide6-Essentials {qt} are mixed."
-    return DoctorCheck(
-        "qt", not fault, fault or f"PySide6-Essentials {qt}", QT_INSTALL if fault else ""
-    )
+    fix = QT_INSTALL if fault else ""
+    return DoctorCheck("qt", not fault, fault or f"PySide6-Essentials {qt}", fix)
 
 
 def check_qt_libraries() -> DoctorCheck:
@@ -255,9 +249,8 @@ def check_opencv() -> DoctorCheck:
 def check_torch() -> DoctorCheck:
     """Read version, threads and device of torch in a child process; its import is slow."""
     if not package_version("torch"):
-        return DoctorCheck(
-            "torch", False, "not installed", "pip install torch (the CPU build will do)"
-        )
+        fix = "pip install torch (the CPU build will do)"
+        return DoctorCheck("torch", False, "not installed", fix)
     code = (
         "import json, sys, torch\n"
         "gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else ''\n"
@@ -267,9 +260,8 @@ def check_torch() -> DoctorCheck:
     if done is None:
         return _unanswered("torch")
     if done.returncode != 0:
-        return DoctorCheck(
-            "torch", False, "cannot be imported", "pip install --force-reinstall torch"
-        )
+        fix = "pip install --force-reinstall torch"
+        return DoctorCheck("torch", False, "cannot be imported", fix)
     release, threads, gpu = json.loads(done.stdout)
     where = f"GPU: {gpu}" if gpu else f"CPU, {threads} threads"
     return DoctorCheck("torch", True, f"{release} on {where}")
@@ -277,9 +269,7 @@ def check_torch() -> DoctorCheck:
 
 def check_others() -> DoctorCheck:
     """Check the other required packages."""
-    required = (
-        "numpy", "scipy", "pydantic", "rich", "safetensors", "zstandard", "pyserial",
-    )  # fmt: skip
+    required = ["numpy", "scipy", "pydantic", "rich", "safetensors", "zstandard", "pyserial"]
     if absent := [name for name in required if not package_version(name)]:
         fix = f"pip install {' '.join(absent)}"
         return DoctorCheck("packages", False, f"missing: {', '.join(absent)}", fix)
@@ -290,11 +280,8 @@ def check_others() -> DoctorCheck:
 def check_mujoco() -> DoctorCheck:
     """Check for MuJoCo (optional second judge and fall animation)."""
     found = package_version("mujoco-core") or package_version("mujoco")
-    if found:
-        return DoctorCheck("mujoco", True, found)
-    return DoctorCheck(
-        "mujoco", True, "not installed (optional)", 'pip install "touchdown[mujoco]"'
-    )
+    fix = "" if found else 'pip install "touchdown[mujoco]"'
+    return DoctorCheck("mujoco", True, found or "not installed (optional)", fix)
 
 
 def _unanswered(name: str) -> DoctorCheck:

@@ -12,6 +12,7 @@ from touchdown.backend.cli.experiment.campaign import (
     parse_strategies,
     write_json,
 )
+from touchdown.backend.cli.output import require_positive
 from touchdown.backend.core import InputError, package_version
 
 
@@ -50,8 +51,7 @@ def run_evaluation(run: ExperimentRun) -> Json:
     if args.gel != "half-space":
         import_skfem()
         there = f"elsewhere-{args.gel}"
-    if args.first < 0:
-        raise InputError("--first is negative.", "--first", "Give 0 or a positive number.")
+    require_positive(args, "first", least=0)
     plan = experiments.DomainShift(
         bench=bench,
         code=code,

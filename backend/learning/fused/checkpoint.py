@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from touchdown.backend.config import read_json_model
+from touchdown.backend.config import SHIPPED_NETWORKS, read_json_model
 from touchdown.backend.core import InputError, read_limited
 from touchdown.backend.learning.checkpoint import card_path, parse_arrays
 from touchdown.backend.learning.fused import features
@@ -115,18 +115,14 @@ def one_network(found: FusedCheckpoint, member: int) -> FusedCheckpoint:
     return FusedCheckpoint(arrays, found.card.model_copy(update={"hyper": hyper}))
 
 
-# Shipped networks beside the default: for any outline; of the wrench alone, for unknown gels.
-SHIPPED = ("any", "wrench")
-
-
 def shipped_path() -> Path:
     """Return the path of the network that comes with the program."""
     return Path(str(files("touchdown.resources"))) / "models" / "fused" / "fused.safetensors"
 
 
 def network_path(weights: str) -> Path:
-    """Return the file of ``FusedSettings.weights``: "" and ``SHIPPED`` name those that ship."""
-    if weights in SHIPPED:
+    """Return the file of ``FusedSettings.weights``: a name stands for a shipped one."""
+    if weights in SHIPPED_NETWORKS:
         return shipped_path().with_stem(weights)
     return Path(weights) if weights else shipped_path()
 
@@ -143,7 +139,7 @@ def shipped_fused() -> FusedCheckpoint:
 
 def load_network(weights: str) -> FusedCheckpoint:
     """Return the network of ``network_path``; raises ``InputError``."""
-    return _shipped(weights) if weights in ("", *SHIPPED) else load_fused(Path(weights))
+    return _shipped(weights) if weights in ("", *SHIPPED_NETWORKS) else load_fused(Path(weights))
 
 
 def _bad(path: Path, what: str) -> InputError:

@@ -29,7 +29,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.cli import command_line, simulate
 from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor.command import check_catalogue
-from touchdown.backend.cli.output import ctrl_c_cancels
+from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import program_version
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.core.faults import (
@@ -189,6 +189,26 @@ def test_a_run_that_failed_says_why(verb, capsys, error, words, json_flag):
 def test_an_interrupt_is_130(verb):
     verb(_raise(KeyboardInterrupt()))
     assert main(["stack"]) == 130
+
+
+@pytest.mark.parametrize(("ends", "status"), [(1, 130), (RefusedError("A", "a"), 130), (0, 0)])
+def test_a_run_that_ctrl_c_cancelled_is_130_unless_it_is_complete(verb, ends, status, capsys):
+    cancelled = []
+
+    def run(args, screen):
+        with screen.ctrl_c_cancels(lambda: cancelled.append(True)):
+            signal.raise_signal(signal.SIGINT)
+        return _raise(ends)(args, screen) if isinstance(ends, Exception) else ends
+
+    verb(run)
+    assert main(["stack"]) == status
+    assert cancelled == [True]
+
+
+def test_a_word_too_long_for_a_file_is_one_error(verb, capsys):
+    verb(_raise(InputError("No.", "here", "Change it.")))
+    assert main(["stack", f"{'x' * 300}.toml"]) == 2
+    assert capsys.readouterr().err.startswith("touchdown: ")
 
 
 def test_a_defect_is_not_hidden(verb):
@@ -630,16 +650,17 @@ def test_a_run_killed_in_the_middle_replays_to_its_last_fact(tmp_path, bench, ca
 
 
 def test_ctrl_c_before_a_run_has_begun_interrupts() -> None:
-    with pytest.raises(KeyboardInterrupt), ctrl_c_cancels(lambda: False):
+    screen = VerbOutput()
+    with pytest.raises(KeyboardInterrupt), screen.ctrl_c_cancels(lambda: False):
         signal.raise_signal(signal.SIGINT)
-    with ctrl_c_cancels(lambda: True):
+    with screen.ctrl_c_cancels(lambda: True):
         signal.raise_signal(signal.SIGINT)
 
 
 def test_ctrl_c_lifts_tells_the_result_and_closes_the_journal(tmp_path, bench, capsys) -> None:
     runs = tmp_path / "runs"
     status, rest = struck(runs, bench, b"Probe 1", signal.SIGINT)
-    assert status == 1
+    assert status == 130
     assert "aborted" in rest
     assert "Kept in" in rest
     told = json.loads(call(capsys, "replay", "latest", "--runs", str(runs))[1])
@@ -789,6 +810,16 @@ def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) ->
     assert "There is no setting 'contours'." in capsys.readouterr().err
 
 
+def test_an_unknown_network_is_an_error_that_lists_the_names(tmp_path, capsys) -> None:
+    method = tmp_path / "method.toml"
+    method.write_text('[fused]\nweights = "anny"\n', "utf-8")
+    assert main(["stack", "--strategy", "fused", "--method", str(method), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert error["where"] == str(method)
+    for part in ("'fused.weights'", "'anny'", "'any'", "'wrench'", ".safetensors"):
+        assert part in error["what"]
+
+
 INTERRUPTING = """
 import os, signal, sys
 
@@ -808,6 +839,7 @@ sys.exit(main())
 @pytest.mark.parametrize(
     ("module", "said"),
     [
+        ("importlib.metadata", ""),
         ("touchdown.backend.cli.command_line", ""),
         ("touchdown.backend.config", ""),
         ("touchdown.backend.cli.doctor.command", "Interrupted.\n"),

@@ -55,11 +55,11 @@ def ends(monkeypatch):
     told = queue.SimpleQueue()
 
     @contextmanager
-    def handed_over(cancel):
+    def handed_over(screen, cancel):
         told.put(cancel)
         yield
 
-    monkeypatch.setattr(emulate, "ctrl_c_cancels", handed_over)
+    monkeypatch.setattr(emulate.VerbOutput, "ctrl_c_cancels", handed_over)
     return told
 
 

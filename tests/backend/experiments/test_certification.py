@@ -294,6 +294,10 @@ def test_command_writes_the_certificate_beside_the_calibrations(
     bench = load_lab(lab_file).identity
     runs, words = tmp_path / "runs", ["calibrate", "risk", str(tmp_path / "runs"), "--json"]
     record_run(runs, "1", [Outcome.PLACED] * 80, bench=bench.name, bench_sha256=bench.sha256)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.touch()
+    assert main([*words, "--bench", str(lab_file), "--calibrations", str(elsewhere)]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(elsewhere)
     assert main([*words, "--bench", str(lab_file)]) == 0
     path = Path(json.loads(capsys.readouterr().out)["certificate"])
     assert path.parent == bench.calibrations

@@ -293,11 +293,15 @@ def test_command_writes_the_certificate_beside_the_calibrations(
     capsys.readouterr()
     bench = load_lab(lab_file).identity
     runs, words = tmp_path / "runs", ["calibrate", "risk", str(tmp_path / "runs"), "--json"]
-    record_run(runs, "1", [Outcome.PLACED] * 80, bench=bench.name, bench_sha256=bench.sha256)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.touch()
+    runs.mkdir()
+    # Before the trials are read: there are none.
     assert main([*words, "--bench", str(lab_file), "--calibrations", str(elsewhere)]) == 2
-    assert json.loads(capsys.readouterr().err)["error"]["where"] == str(elsewhere)
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert error["what"].startswith("The calibration cannot be written")
+    assert error["where"] == str(elsewhere)
+    record_run(runs, "1", [Outcome.PLACED] * 80, bench=bench.name, bench_sha256=bench.sha256)
     assert main([*words, "--bench", str(lab_file)]) == 0
     path = Path(json.loads(capsys.readouterr().out)["certificate"])
     assert path.parent == bench.calibrations

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,22 +18,28 @@ from touchdown.app import shell
 from touchdown.app.connect import BenchDialogs
 from touchdown.app.tour import Tour, tour_stops
 from touchdown.app.workspaces import FIRST, Workspaces
+from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.config import is_lab_file, load_lab
-from touchdown.backend.core import CommandNotifier, Event, EventQueue, RunFinished, RunStarted
 from touchdown.widgets.base import EventPump, load_resources, tr
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards, PillState, TopBar
 
+NOTHING_CONNECTED = "Nothing is connected; recorded runs can still be reviewed."
+TRY_AGAIN = "Correct this and try again (Ctrl+L), or open another bench file (Ctrl+Shift+B)."
 
-def bench_failed_card(error: Exception, again: Callable[[], None]) -> CardText:
-    """Return the card of a bench that could not be built; ``again`` repeats the attempt."""
-    return CardText(
-        "CONNECT",
-        tr("The bench could not be prepared: {}", error),
-        "Nothing is connected; recorded runs can still be reviewed.",
-        "Correct the cause, then try again (Ctrl+L), or open another bench file (Ctrl+Shift+B).",
-        reset=False,
+
+def bench_failed_card(error: Exception, file: Path | None, again: Callable[[], None]) -> CardText:
+    """Return the card of a bench of ``file`` that could not be built; ``again`` builds it."""
+    cause = shell.error_card("CONNECT", error)
+    named = file is None or str(file) in cause.consequence
+    texts = "" if named else tr("Bench file: {}.", file), cause.consequence, tr(NOTHING_CONNECTED)
+    return replace(
+        cause,
+        what=tr("The bench could not be prepared: {}", cause.what),
+        consequence=" ".join(filter(None, texts)),
+        next_step=f"{cause.next_step} {tr(TRY_AGAIN)}".strip(),
+        details="".join(traceback.format_exception(error)),
         offer=("Try again", again),
     )
 
@@ -58,6 +66,7 @@ class TouchdownApp(QObject):
     _servo: shell.ServoSwitch
     _holds: Callable[[], bool] | None = None
     _make: Callable[[], Session] | None = None
+    _bench_file: Path | None = None
 
     def __init__(
         self,
@@ -65,7 +74,7 @@ class TouchdownApp(QObject):
         box: shell.ErrorBox,
         settings_file: Path,
         runs: Path,
-        notifier: CommandNotifier | None = None,
+        notifier: core.CommandNotifier | None = None,
     ) -> None:
         super().__init__()
         self._application, self._box, self._settings_file = application, box, settings_file
@@ -87,7 +96,7 @@ class TouchdownApp(QObject):
         self.window.may_close = lambda: self._closing.may_close(self.bench)
         self.calls = shell.PersonCalls(self.window, settings.calls, notifier)
         self._closing = shell.CloseConfirmation(self.cards, self.stop, self.window.close)
-        self._loader, self._mailbox = shell.SaveWorker(self, "connect"), EventQueue()
+        self._loader, self._mailbox = shell.SaveWorker(self, "connect"), core.EventQueue()
         self.actions = shell.ActionRegistry(
             self.window, shell.key_bindings(self._commands(), self.workspaces.all), settings.keys
         )
@@ -114,16 +123,18 @@ class TouchdownApp(QObject):
         self.pump = EventPump(self, self._pull, hold=self._hushed, hidden=self._unseen)
         self.pump.calm = self._calm
         self._add_parts()
-        self._stop_key = shell.StopKeyFilter(self, self.stop, self._moving)
+        self._stop_key = shell.StopKeyFilter(
+            self, self.stop, lambda: self.bench is not None and shell.may_be_moving(self.bench)
+        )
         application.installEventFilter(self._stop_key)
         self._show_connecting()
         self.go(front)
 
     # -- life -------------------------------------------------------------------------------------
 
-    def connect_bench(self, make: Callable[[], Session]) -> None:
-        """Build the bench on a separate thread; the window stays responsive."""
-        self._make = make
+    def connect_bench(self, make: Callable[[], Session], file: Path | None = None) -> None:
+        """Build the bench of ``file`` on a separate thread; the window stays responsive."""
+        self._make, self._bench_file = make, file
         self._show_connecting()
         if not self._loader.busy:
             self._loader.submit(make, self.attach, self._connect_failed)
@@ -198,7 +209,8 @@ class TouchdownApp(QObject):
                 "DATA-FOLDER",
                 tr("The data folder {} cannot be written.", folder),
                 "Runs, labels and the log of this session are not kept.",
-                "Make it writable, or start again with TOUCHDOWN_DATA set to another folder.",
+                "Make room or make it writable, or start again with TOUCHDOWN_DATA set to another "
+                "folder.",
                 reset=False,
             )
         )
@@ -258,9 +270,6 @@ class TouchdownApp(QObject):
         self.actions.enter(name)
         coming.enter()
 
-    def _moving(self) -> bool:
-        return self.bench is not None and shell.may_be_moving(self.bench)
-
     def _commands(self) -> list[shell.WindowCommand]:
         pages = [
             shell.WindowCommand(
@@ -298,7 +307,7 @@ class TouchdownApp(QObject):
             *self._speed.commands,
             shell.WindowCommand("fullscreen", "Full screen", "F11", self._full_screen),
             shell.WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
-            shell.WindowCommand("quit", "Quit", "Ctrl+Q", self._quit),
+            shell.WindowCommand("quit", "Quit", "Ctrl+Q", lambda: self.window.close()),
         ]  # fmt: skip
 
     def _wire_rail(self) -> None:
@@ -307,30 +316,34 @@ class TouchdownApp(QObject):
             button.setToolTip(f"{action.text()} ({action.shortcut().toString()})")
             button.clicked.connect(action.trigger)
 
-    def _quit(self) -> None:
-        self.window.close()
-
     def open_bench(self, file: Path) -> None:
         """Ask to start again with a bench file, unless the file or the present bench prevents it.
 
         A running program does not exchange its bench: no device, thread or view of it may remain.
         """
-        # Imported here, as the window appears before the simulated bench is loaded.
-        from touchdown.backend.bench import SimulatedBenchChoice
-
-        def check() -> None:
-            self._closing.check_unused(self.bench)
-            load_lab(file) if is_lab_file(file) else SimulatedBenchChoice(file=file).settings()
-
-        if shell.carry_out(check, self.cards, "BENCH-FILE"):
+        if self._can_restart(file):
             text = tr("Restart the program with {}? The present bench is disconnected.", file.name)
             again = partial(self._start_again, file)
             self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Restart", again))))
 
     def _start_again(self, file: Path) -> None:
-        if shell.carry_out(lambda: self._closing.check_unused(self.bench), self.cards):
+        # The file may have changed since the question.
+        if self._can_restart(file):
             self.next_bench = file
             self.window.close()
+
+    def _can_restart(self, file: Path) -> bool:
+        # Imported here, as the window appears before the simulated bench is loaded.
+        from touchdown.backend.bench import SimulatedBenchChoice
+
+        def check() -> None:
+            self._closing.check_unused(self.bench)
+            if file.exists() and not file.is_file():  # a pipe would wait for its writer
+                raise core.InputError("This is not a file.", str(file), "Choose a TOML file.")
+            load_lab(file) if is_lab_file(file) else SimulatedBenchChoice(file=file).settings()
+
+        self.cards.clear(["BENCH-FILE"])
+        return shell.carry_out(check, self.cards, "BENCH-FILE")
 
     def _choose_bench(self) -> None:
         shell.ask_path(self.window, "Bench file", self.open_bench, names="TOML (*.toml)")
@@ -350,7 +363,7 @@ class TouchdownApp(QObject):
                     "The simulated bench needs no connection. Ctrl+Shift+B opens a bench file."
                 )
         elif self._make is not None:
-            self.connect_bench(self._make)
+            self.connect_bench(self._make, self._bench_file)
 
     def _reset_layout(self) -> None:
         self.window.showNormal()
@@ -426,15 +439,15 @@ class TouchdownApp(QObject):
         self._take(event)
         return True
 
-    def _take(self, event: Event) -> None:
-        if isinstance(event, RunStarted):
+    def _take(self, event: core.Event) -> None:
+        if isinstance(event, core.RunStarted):
             self.window.next_step.withdraw()
         self.workspaces.take(event)
         self.panels.calibrate.take(event)
         shell.log_event(event)
         self.calls.take(event)
         shell.show_event(event, self.bench, self.cards, self.say)
-        if isinstance(event, RunFinished):
+        if isinstance(event, core.RunFinished):
             call_glibc("malloc_trim", 0)  # up to 100 MB that nothing uses after a run
 
     def _show_connecting(self) -> None:
@@ -444,7 +457,7 @@ class TouchdownApp(QObject):
     def _connect_failed(self, error: Exception) -> None:
         self.bar.pill.show_state(PillState("NO DEVICES", "ring", "grey"))
         self.workspaces.show_waiting("No bench", "Nothing is connected.")
-        self.cards.show_card(bench_failed_card(error, self._connect_again))
+        self.cards.show_card(bench_failed_card(error, self._bench_file, self._connect_again))
 
     def _draw_frame(self) -> None:
         if self.bench is None:

@@ -95,7 +95,7 @@ def _show(main: TouchdownApp, args: argparse.Namespace) -> None:
         review.presenter.open(args.replay)
     # No tour if the command line asks for something else.
     main.tour_due = not (args.grab or args.page or args.replay)
-    main.connect_bench(partial(_open_bench, args))
+    main.connect_bench(partial(_open_bench, args), args.bench)
 
 
 def _open_bench(args: argparse.Namespace) -> Session:
@@ -133,7 +133,7 @@ def open_simulated_bench(
         animate=mujoco_available(),
         registry=ModelRegistry(models_folder()),
     )
-    session.calibrations = CalibrationStore(calibrations_folder(), "simulated")
+    session.calibrations = CalibrationStore(calibrations_folder(), "simulated", where=None)
     session.prepare(SceneChoice())
     freeze_garbage()
     return session
@@ -159,7 +159,7 @@ def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> Session
     from touchdown.backend.runs import RecordingOptions
 
     session = lab_session(
-        LabChoice(file),
+        LabChoice(file, window=True),
         keep=RecordingOptions(data_folder() / "runs"),
         registry=ModelRegistry(models_folder()),
     )

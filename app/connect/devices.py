@@ -55,7 +55,10 @@ class DevicesSheet(BenchSheet):
 
     def values(self) -> dict[str, str]:
         """Return the texts of the form by key."""
-        return {key: _text(editor).strip() for key, editor in self.editors.items()}
+        return {
+            key: (editor.currentText() if isinstance(editor, QComboBox) else editor.text()).strip()
+            for key, editor in self.editors.items()
+        }
 
     def set_values(self, values: Mapping[str, str]) -> None:
         """Show ``values`` by key."""
@@ -115,10 +118,6 @@ class DevicesSheet(BenchSheet):
             (scroll, 1), self.said, foot=(self.save, self.again, self.look, self.swap), spacing=8,
         )  # fmt: skip
         self.resize_to_em(48, 44)
-
-
-def _text(editor: QComboBox | QLineEdit) -> str:
-    return editor.currentText() if isinstance(editor, QComboBox) else editor.text()
 
 
 SOURCE = (

@@ -134,11 +134,8 @@ def history_rows(revisions: Sequence[Revision], head: Revision) -> list[HistoryR
         what = f"{tr(revision.state)}{reason}: {label_text(revision.label)}"
         who = f"{revision.person}, {source_text(revision.source)}, {when}"
         holds = revision.rev_uuid == head.rev_uuid
-        rows.append(
-            HistoryRow(
-                revision.rev_uuid, number, what, who, revision_difference(before, revision), holds
-            )
-        )
+        change = revision_difference(before, revision)
+        rows.append(HistoryRow(revision.rev_uuid, number, what, who, change, holds))
     return rows[::-1]
 
 

@@ -82,22 +82,12 @@ class OperatePage(LivePage):
         feel = column_of((self.tactile_panel, 0), (self.traces_panel, 1))
         middle = column_of((self.belief_panel, 5), (self.side_panel, 4), (self.probe, 0))
         self._right = column_of((self.jog, 1), (self.gripper, 0), (self.scene, 0))
-        self.stand_in(
-            Columns(
-                ((feel, 10), (middle, 7), (self._right, 6)),
-                {
-                    "Tactile": self.tactile_panel,
-                    TRACES: self.traces_panel,
-                    "Belief": self.belief_panel,
-                    BENCH: self.side_panel,
-                    "Probe": self.probe,
-                    "Jog": self.jog,
-                    "Gripper": self.gripper,
-                },
-                controls_last=True,
-            ),
-            TRACES,
-        )
+        columns = (feel, 10), (middle, 7), (self._right, 6)
+        panels = {
+            "Tactile": self.tactile_panel, TRACES: self.traces_panel, "Belief": self.belief_panel,
+            BENCH: self.side_panel, "Probe": self.probe, "Jog": self.jog, "Gripper": self.gripper,
+        }  # fmt: skip
+        self.stand_in(Columns(columns, panels, controls_last=True), TRACES)
         self.fit_to_theme()
 
     def _tactile_panel(self) -> Panel:

@@ -165,8 +165,5 @@ class ReviewWorkspace(Workspace):
             self._context.say(tr("Written: {}", write()))
         except OSError as error:
             what = tr("It could not be written: {}.", error.strerror or error)
-            self._context.cards.show_card(
-                CardText(
-                    "EXPORT", what, tr("In {}.", self.exports), "Free some space.", reset=False
-                )
-            )
+            where, step = tr("In {}.", self.exports), "Free some space."
+            self._context.cards.show_card(CardText("EXPORT", what, where, step, reset=False))

@@ -140,11 +140,8 @@ class DeviceInspectorPresenter:
         except FaultError as error:
             publish(Refused(now_s, error.fault.code, f"{error.fault.what} {error.fault.next_step}"))
         else:
-            publish(
-                Said(
-                    now_s, tr("The {} is connected again.", tr(NAMES.get(device.name, device.name)))
-                )
-            )
+            name = tr(NAMES.get(device.name, device.name))
+            publish(Said(now_s, tr("The {} is connected again.", name)))
         finally:
             self._connecting = False
 

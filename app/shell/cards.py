@@ -83,7 +83,7 @@ def error_card(code: str, error: Exception, where: str = "", fix: str = "") -> C
         return CardText(
             code, error.what, where or tr("In {}.", error.where), error.fix, reset=False
         )
-    what = str(error)
+    what = str(error) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         what = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
     return CardText(code, what, where, fix, reset=False)

@@ -16,6 +16,7 @@ from types import TracebackType
 
 from PySide6.QtCore import QMessageLogContext, QtMsgType, qInstallMessageHandler
 
+from touchdown.backend.core import check_writable
 from touchdown.widgets.base import tr
 from touchdown.widgets.shell import CardText
 
@@ -155,13 +156,14 @@ def log_to(folder: Path) -> Path | None:
     """Write the log to a rotating file in ``folder``; return None if it is not writable."""
     path = folder / "app.log"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        check_writable(folder)
         handler = RotatingFileHandler(path, maxBytes=1_000_000, backupCount=3, encoding="utf-8")
     except OSError as error:
         log.warning("no log file: %s", error)
         return None
     handler.addFilter(RepeatFilter())
     handler.setFormatter(_FileFormatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.raiseExceptions = False  # lines are lost on a full disk, without tracebacks
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     log.propagate = False

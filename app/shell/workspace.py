@@ -30,7 +30,7 @@ class WindowCommand:
     name: str
     text: str
     key: str
-    run: Callable[[], None]
+    run: Callable[[], object]
     repeats: bool = False
     beside: bool = False
 

@@ -147,14 +147,8 @@ class ComparisonPresenter:
         stories = [self._rivals.story(question, strategy) for strategy in self._pair]
         versions = tuple(None if story is None else story.version for story in stories)
         active = is_run_active(self._bench)
-        drawn = (
-            question,
-            self._pair,
-            versions,
-            self.sheet.trial.value(),
-            active,
-            self._bench.interlock.latched,
-        )
+        trial, latched = self.sheet.trial.value(), self._bench.interlock.latched
+        drawn = question, self._pair, versions, trial, active, latched
         if drawn == self._drawn:
             return
         self._drawn = drawn

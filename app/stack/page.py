@@ -100,19 +100,10 @@ class StackPage(LivePage):
         believe = column_of((self.decision, 0), (self.trial, 1), (self.belief_panel, 2))
         self._right = column_of((self.run, 0), (self.score, 0), (self.side_panel, 1))
         left, right = self.captions.values()
-        self.stand_in(
-            Columns(
-                ((feel, 10), (believe, 9), (self._right, 5)),
-                {
-                    "Tactile L": left,
-                    "Tactile R": right,
-                    TRACES: self.traces_panel,
-                    "Belief map": self.belief_panel,
-                    "Trials": self.score,
-                    SIDE: self.side_panel,
-                },
-                controls_last=True,
-            ),
-            TRACES,
-        )
+        columns = (feel, 10), (believe, 9), (self._right, 5)
+        panels = {
+            "Tactile L": left, "Tactile R": right, TRACES: self.traces_panel,
+            "Belief map": self.belief_panel, "Trials": self.score, SIDE: self.side_panel,
+        }  # fmt: skip
+        self.stand_in(Columns(columns, panels, controls_last=True), TRACES)
         self.fit_to_theme()

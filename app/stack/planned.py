@@ -105,9 +105,11 @@ class PlannedRunsSheet(BenchSheet):
         self._timer.timeout.connect(self.look)
         self.list = KeylessList("Planned runs", "Add the run of the form, or read a file.")
         self.said = label("", "muted", wrap=True)
+        names = f"{tr('Planned runs')} (*.toml)"
+        ask_file = partial(ask_path, self, "Planned runs", self.add_file, names=names)
         orders: dict[str, tuple[str, Callable[[], None]]] = {
             "Add the form": ("Add the run of the form on the page", self.add_form),
-            "From a file": ("Add the runs of a TOML file, a table [[run]] each", self._ask_file),
+            "From a file": ("Add the runs of a TOML file, a table [[run]] each", ask_file),
             "Up": ("Move the selected run up", partial(self._move, -1)),
             "Down": ("Move the selected run down", partial(self._move, 1)),
             "Remove": ("Remove the selected run", self._remove),
@@ -135,9 +137,6 @@ class PlannedRunsSheet(BenchSheet):
         panel, runs, more = self._page.run, self.runs, list[PlannedRun]()
         if carry_out(lambda: more.extend(read_planned_runs(path, panel)), self._cards):
             self.change(runs + more, len(runs))
-
-    def _ask_file(self) -> None:
-        ask_path(self, "Planned runs", self.add_file, names=f"{tr('Planned runs')} (*.toml)")
 
     def _move(self, by: int) -> None:
         at, runs = self.list.currentRow(), list(self.runs)

@@ -135,12 +135,12 @@ class TrainWorkspace(shell.Workspace):
         own = dataset_folder()
         names = [one.name for one in self._folders]
         entries = [
-            (str(one), tr("Own dataset") if one == own else _short(one, names))
+            (
+                str(one),
+                tr("Own dataset")
+                if one == own
+                else "/".join(one.parts[-2:] if names.count(one.name) > 1 else one.parts[-1:]),
+            )
             for one in self._folders
         ]
         self.page.form.show_data(entries, chosen)
-
-
-def _short(folder: Path, names: Sequence[str]) -> str:
-    """Return the folder name, with its parent where two names are equal."""
-    return f"{folder.parent.name}/{folder.name}" if names.count(folder.name) > 1 else folder.name

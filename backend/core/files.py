@@ -75,8 +75,8 @@ def make_folder(folder: Path) -> None:
 def check_writable(folder: Path) -> None:
     """Raise ``OSError`` unless files can be made in ``folder``, which is created if missing."""
     make_folder(folder)
-    with TemporaryFile(dir=folder):
-        pass
+    with TemporaryFile(dir=folder) as file:
+        file.write(b"\0")  # a full disk accepts empty files
 
 
 def write_atomically(path: Path, content: bytes) -> None:

@@ -79,7 +79,7 @@ class FaultCard(QFrame):
         self.text, self.count = text, 1
         self.setProperty("role", text.role)
         self._title = base.label("", "head", wrap=True)
-        self._foot = base.label("", "small")
+        self._then, self._foot = base.label("", wrap=True), base.label("", "small")
         self._details = QPlainTextEdit(text.details or self._plain())
         self._details.setReadOnly(True)
         self._details.setAccessibleName(base.tr("Details of the fault"))
@@ -105,6 +105,9 @@ class FaultCard(QFrame):
     def _show_count(self) -> None:
         times = f" (\N{MULTIPLICATION SIGN}{self.count})" if self.count > 1 else ""
         self._title.setText(base.tr(self.text.what) + times)
+        then = f"{base.tr(self.text.consequence)} {base.tr(self.text.next_step)}".strip()
+        self._then.setText(then)
+        self._then.setVisible(bool(then))
         self._foot.setText(f"[{self.text.code}]  {self.text.at}")
         self.setAccessibleName(self._plain())
 
@@ -114,11 +117,7 @@ class FaultCard(QFrame):
         return f"{' '.join(texts)} [{t.code}]"
 
     def _arrange(self) -> None:
-        words = base.vbox(self._title, spacing=2)
-        then = f"{base.tr(self.text.consequence)} {base.tr(self.text.next_step)}".strip()
-        if then:
-            words.addWidget(base.label(then, wrap=True))
-        words.addWidget(self._foot)
+        words = base.vbox(self._title, self._then, self._foot, spacing=2)
         shown = self._details
         details = self._button("Details", lambda: shown.setVisible(shown.isHidden()))
         row = base.hbox(1, self.more, self.fold, details, self._button("Copy", self._copy))

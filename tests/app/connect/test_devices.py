@@ -4,11 +4,12 @@ import os
 import shutil
 import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QComboBox, QFileDialog
+from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel
 
 from tests.backend.rig.scripted import scripted
 from touchdown.app.__main__ import parser as start_parser
@@ -236,3 +237,60 @@ def test_a_bench_in_use_is_not_exchanged(live, bench, file):
     bench.set_state(RunState.IDLE)
     live.actions.action("connect").trigger()
     assert "Ctrl+Shift+B opens a bench file" in live.window._message.text()
+
+
+def unreadable(monkeypatch, file):
+    monkeypatch.setattr(Path, "read_bytes", lambda path: raise_it(PermissionError(13, "denied")))
+    file.write_text("")
+
+
+def raise_it(error):
+    raise error
+
+
+BAD_FILES = {
+    "a folder": (lambda patch, file: file.mkdir(), "This is not a file."),
+    "a pipe": (lambda patch, file: os.mkfifo(file), "This is not a file."),
+    "a large file": (
+        lambda patch, file: os.truncate(os.open(file, os.O_CREAT | os.O_RDWR), 2**31),
+        "The file is too large: more than 1 MB.",
+    ),
+    "bytes": (
+        lambda patch, file: file.write_bytes(bytes(range(255, 0, -1))),
+        "The file is not valid TOML: byte 0 is not text in UTF-8.",
+    ),
+    "no file": (lambda patch, file: None, "Cannot read the file: No such file or directory."),
+    "no right to read": (unreadable, "Cannot read the file: denied."),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_FILES)
+def test_what_is_no_bench_file_is_refused_before_the_question(live, tmp_path, monkeypatch, kind):
+    make, said = BAD_FILES[kind]
+    (tmp_path / "earlier.toml").write_text("press_mm = 1")
+    live.open_bench(tmp_path / "earlier.toml")
+    file = tmp_path / "bench.toml"
+    make(monkeypatch, file)
+    live.open_bench(file)
+    shown = live.cards.card("BENCH-FILE")
+    assert (shown.text.what, shown.count) == (said, 1)
+    texts = [label.text() for label in shown.findChildren(QLabel)]
+    assert any(str(file) in text for text in texts)
+    assert not any("earlier.toml" in text for text in texts)
+    assert live.cards.asks is None
+    assert live.window.isVisible()
+
+
+def test_a_file_that_goes_between_question_and_restart_leaves_the_bench(live, file):
+    live.open_bench(file)
+    file.unlink()
+    live.cards.asks.answers[1][1]()
+    assert "No such file" in live.cards.card("BENCH-FILE").text.what
+    assert (live.next_bench, live.window.isVisible()) == (None, True)
+    file.write_text("version = 1")
+    live.cards.clear(["BENCH-FILE"])
+    file.write_text("")
+    live.open_bench(file)
+    assert "BENCH-FILE" not in live.cards.codes
+    live.cards.asks.answers[1][1]()
+    assert (live.next_bench, live.window.isVisible()) == (file, False)

@@ -1,6 +1,7 @@
 """The Stack workspace shows what the facts say, and orders what the operator asks."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from touchdown.app.shell.run_story import ProbeStory, TrialStory, outcome_text
 from touchdown.app.shell.settings import load_settings
 from touchdown.app.stack.presenter import stack_request
 from touchdown.backend.core import (
+    InputError,
     Outcome,
     PhaseEntered,
     PieceWeighed,
@@ -445,6 +447,30 @@ def test_a_bench_that_cannot_be_built_is_a_card(main, qtbot):
     qtbot.waitUntil(lambda: not main._loader.busy, timeout=60_000)
     settle(main)
     assert main.cards.codes == ("CONNECT",)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (InputError("No model.", "pod.safetensors", "Train one."),
+         ("No model.", "Bench file: lab.toml. In pod.safetensors. Nothing", "Train one. Correct")),
+        (InputError("Bad value for 'kind'.", "lab.toml", "Correct it."),
+         ("Bad value for 'kind'.", "In lab.toml. Nothing", "Correct it. Correct")),
+        (AssertionError(), ("AssertionError", "Bench file: lab.toml. Nothing", "Correct this")),
+    ],
+)  # fmt: skip
+def test_the_card_of_a_bench_names_its_file_and_the_place_of_the_error(main, qtbot, error, said):
+    def fail():
+        raise error
+
+    main.connect_bench(fail, Path("lab.toml"))
+    qtbot.waitUntil(lambda: not main._loader.busy, timeout=60_000)
+    settle(main)
+    card = main.cards.card("CONNECT").text
+    assert card.what == f"The bench could not be prepared: {said[0]}"
+    assert card.consequence.startswith(said[1])
+    assert card.next_step.startswith(said[2])
+    assert "raise error" in card.details
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from tests.app.stand_in import StandInBench
 from touchdown.app import __main__ as command_line
 from touchdown.app.__main__ import incompatibility
 from touchdown.app.shell.actions import EVERYWHERE_CONTEXT, STOP_BINDINGS, portable_key
-from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log_to
+from touchdown.app.shell.errors import ErrorBox, install_error_hooks, log, log_to
 from touchdown.app.shell.settings import WindowSettings, load_settings, restore_form, save_settings
 from touchdown.app.splash import Splash
 from touchdown.backend.cli import main as touchdown_command
@@ -308,6 +308,22 @@ def test_a_log_that_cannot_be_written_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("x")
     assert log_to(tmp_path / "file" / "log") is None
     assert ErrorBox().take() is None
+
+
+def test_a_full_disk_is_told_at_the_start_and_not_on_the_terminal(tmp_path, monkeypatch, capsys):
+    assert log_to(tmp_path / "log") is not None
+    handler = log.handlers[-1]
+    handler.stream.close()
+    handler.stream = Path("/dev/full").open("w")  # noqa: SIM115
+    log.error("a line that is lost")
+    log.removeHandler(handler)
+    assert capsys.readouterr().err == ""
+    with pytest.raises(OSError, match="No space left"):
+        handler.stream.close()
+    # A full disk accepts an empty file.
+    full = lambda dir: Path("/dev/full").open("wb")  # noqa: E731, SIM115
+    monkeypatch.setattr("touchdown.backend.core.files.TemporaryFile", full)
+    assert log_to(tmp_path / "log") is None
 
 
 def test_the_rail_keeps_its_icons_in_place_whichever_page_is_in_front(live):

@@ -3,7 +3,7 @@
 import pytest
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QPushButton, QWidget
+from PySide6.QtWidgets import QApplication, QLabel, QPushButton, QWidget
 
 from touchdown.widgets.base import ElidedLabel, Theme, load_resources, vbox
 from touchdown.widgets.shell import STOPPED, CardQuestion, CardText, FaultCards, TopBar
@@ -69,6 +69,13 @@ def test_a_repetition_rises_and_a_success_withdraws_refusals_alone(cards):
     assert not cards.card("FT-TRIP").more.isVisibleTo(cards)
     cards.clear()
     assert cards.isHidden()
+
+
+def test_a_repetition_shows_its_own_place_and_remedy(cards):
+    cards.show_card(CardText("FILE", "It is too large.", "In a.toml.", "Shorten it."))
+    cards.show_card(CardText("FILE", "It is empty.", "In b.toml.", ""))
+    texts = [label.text() for label in cards.card("FILE").findChildren(QLabel)]
+    assert texts[:2] == ["It is empty. (\N{MULTIPLICATION SIGN}2)", "In b.toml."]
 
 
 def test_notices_of_one_start_are_cards_of_their_own_and_none_makes_room(cards):

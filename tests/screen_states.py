@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from tests.screen_panels import Hand
 from touchdown.backend.bench.emulated_child import NOT_SET, STILL
+from touchdown.backend.calibration import CalibrationStore
 from touchdown.backend.core import (
     Fault,
     FaultRaised,
@@ -154,9 +156,8 @@ def _alarm() -> Fault:
 
 def _cards() -> Mapping[str, Sequence[Fault]]:
     swapped = "It is the gel of the right finger: put the two back."
-    gel = other_gel_fault(
-        "left", (8.2, 3.0), swapped, "touchdown calibrate camera --bench lab.toml"
-    )
+    step = CalibrationStore(Path(), "hardware", where=None).step("camera")
+    gel = other_gel_fault("left", (8.2, 3.0), swapped, step)
     return {
         "faults-of-the-grasp": (turned_fault(0.074), gel.fault),
         "faults-of-drivers": (driver_fault(KeyError("payload")), oversize_fault(11)),

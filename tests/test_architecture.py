@@ -261,6 +261,27 @@ def test_sentences_go_through_the_translation_as_a_whole():
     assert found == []
 
 
+# Commands without an equal in the window.
+ONLY_COMMANDS = r"(simulate|dataset|evaluate|experiment|collect --plan|stack' with --strategy)\b"
+
+
+def test_messages_name_no_command_for_what_the_window_does():
+    """The verbs, and the start without a display, may name commands."""
+    found = []
+    for path in (p for p in CODE if not _name(p).startswith(("backend/cli/", "app/__main__"))):
+        docs = {id(n.value) for n in _nodes(path) if isinstance(n, ast.Expr)}
+        for node in _nodes(path):
+            if (
+                isinstance(node, ast.Constant)
+                and isinstance(node.value, str)
+                and id(node) not in docs
+            ):
+                for said in re.findall(r"touchdown (?!app\b)[a-z-]+.*", node.value):
+                    if not re.match("touchdown " + ONLY_COMMANDS, said):
+                        found.append(f"{_name(path)}:{node.lineno} {said}")
+    assert found == []
+
+
 def test_no_signal_carries_samples():
     """Samples are pulled at the display's pace: a burst of signals would starve the event loop."""
     samples = {"TactileFrame", "MarkerField", "Samples", "Recording", "ndarray"}

@@ -24,9 +24,9 @@ PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
 TITLE = "Fit the simulated bench to this robot (Identify)"
 COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
-    "Finds the values with which the simulated bench predicts recorded presses best. Record them "
-    "with three commands: touchdown collect --plan rest, --plan gel, --plan contact. Nothing moves "
-    "here. Write bench file writes a file and offers to start again with it."
+    "Finds the values with which the simulated bench predicts recorded presses best. Nothing moves "
+    "here. The presses are recorded in a terminal, as Collect has no such plans: touchdown collect "
+    "--plan rest, --plan gel, --plan contact. Write bench file offers to restart with the result."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000

@@ -214,8 +214,7 @@ class Dataset:
             raise InputError(
                 "There is no dataset.",
                 str(folder),
-                "Collect probes first ('touchdown collect', or Ctrl+2 in the window), or name the "
-                "folder that holds dataset.json.",
+                "Collect probes first, or name the folder that holds dataset.json.",
             )
         lock = WriterLock.take(folder, person) if write else None
         try:
@@ -455,7 +454,7 @@ class Dataset:
                 raise InputError(
                     "This is another dataset, not a copy of the same one.",
                     str(other),
-                    "Merge copies of one dataset; bring other data in with 'touchdown import'.",
+                    "Merge copies of one dataset; import other data.",
                 )
             self._back_up(partial(self.backups.if_changed, "merge"))
             paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]

@@ -137,7 +137,7 @@ class DatasetInUseError(NotWritableError):
         super().__init__(
             f"The dataset is being written by {who}.",
             str(folder),
-            "Close it there first; `touchdown dataset status` looks without writing.",
+            "Close it there first; until then the dataset can be read.",
         )
         self.holder = holder
 

@@ -277,13 +277,13 @@ def _of_one_piece(
     if not found:
         further = LABEL_CHOICES[LABEL_CHOICES.index(labels) + 1 :]
         fix = "Label and approve some"
-        fix += f", or allow more with --labels {' or '.join(further)}." if further else "."
+        fix += f", or allow {' or '.join(further)} labels." if further else "."
         raise InputError("No episode has a label to train on.", str(folder), fix)
     if piece is None and len(found) > 1:
         raise InputError(
             f"The episodes belong to different grasped pieces ({', '.join(found)}).",
             str(folder),
-            "Name one with --piece.",
+            "Choose one of them.",
         )
     chosen = [e for e in listed if e.piece == (piece or found[0])]
     if not chosen:

@@ -40,13 +40,14 @@ class LabChoice:
     """Choice of a laboratory by its file; ``pieces`` is a folder with further piece files.
 
     ``any_gels``: also connect gels without a calibration, to calibrate them. ``campaign``: on
-    hardware, require valid calibrations.
+    hardware, require valid calibrations. ``window``: remedies name the window, not commands.
     """
 
     file: Path
     pieces: Path | None = None
     any_gels: bool = False
     campaign: bool = False
+    window: bool = False
 
 
 def lab_session(
@@ -76,7 +77,9 @@ def lab_session(
         settings=method, keep=keep or RecordingOptions(), description=lab.facts,
     )  # fmt: skip
     session.identity = written.identity
-    bench.wire(session, any_gels=choice.any_gels).notices = find_camera_conflicts(written)
+    store = calibrations_of(lab, window=choice.window)
+    connection = bench.wire(session, store, any_gels=choice.any_gels)
+    connection.notices = find_camera_conflicts(written, window=choice.window)
     return session
 
 
@@ -136,22 +139,22 @@ def open_lab(
     return session
 
 
-def calibrations_of(lab: Lab) -> CalibrationStore:
+def calibrations_of(lab: Lab, *, window: bool = False) -> CalibrationStore:
     """Return the calibrations of a laboratory, beside its file or in the configured folder."""
-    bench = f"--bench {shlex.quote(str(lab.path))} --home"
+    bench = None if window else f"--bench {shlex.quote(str(lab.path))} --home"
     return CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.facts.gels)
 
 
-def find_camera_conflicts(lab: Lab) -> dict[str, str]:
+def find_camera_conflicts(lab: Lab, *, window: bool = False) -> dict[str, str]:
     """Return by camera its conflict with the calibration, which wins, and a replaced gel."""
-    seats, store = _seats(lab), calibrations_of(lab)
+    seats, store = _seats(lab), calibrations_of(lab, window=window)
     if seats is None:
         return {}
-    command = store.command("camera")
-    found = camera_conflicts(lab.settings.gelsight, seats, command)
+    step = store.step("camera")
+    found = camera_conflicts(lab.settings.gelsight, seats, step)
     for finger, text in store.gels.replaced_after(seats.file.date).items():
         name, told = f"tactile_{finger}", f"T{text[1:]}: calibration, models and certificates of "
-        told += f"the old gel do not hold. Run '{command}'"
+        told += f"the old gel do not hold. {step[:1].upper()}{step[1:]}"
         found[name] = ". ".join(filter(None, (found.get(name), told)))
     return found
 
@@ -184,7 +187,9 @@ class _LabBench:
             first = SceneChoice(first.piece, first.bottoms, estimates=False)
         self._first = first
 
-    def wire(self, session: Session, *, any_gels: bool) -> BenchConnection:
+    def wire(
+        self, session: Session, store: CalibrationStore, *, any_gels: bool
+    ) -> BenchConnection:  # fmt: skip
         """Make the drivers on the streams of ``session``; return their connection."""
         raw, settings, session.usual = session.raw, self._lab.settings, self._first
         now_s, interlock = self._clock.now_s, session.interlock
@@ -200,7 +205,7 @@ class _LabBench:
                 session.prepare(self._first)
 
         connection.when_ready = set_first
-        session.calibrations = store = calibrations_of(self._lab)
+        session.calibrations = store
         session.events.subscribe(store.gels.take)
         connection.prove = GelCheck(None if any_gels else store, wired.devices, raw.frames).prove
         session.join(connection, settings.name, settings.limits, str(self._lab.path))

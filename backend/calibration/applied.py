@@ -79,18 +79,18 @@ def calibrated_positions(used: Mapping[CalibrationName, CalibrationRecord]) -> C
 
 
 def require_calibrated_bottom(
-    used: Mapping[CalibrationName, CalibrationRecord], bottom: str, command: str
+    used: Mapping[CalibrationName, CalibrationRecord], bottom: str, step: str
 ) -> None:
     """Raise ``RefusedError`` if the board was measured on another bottom than ``bottom``.
 
-    ``command`` measures the board of this bench.
+    ``step``: clause on how the board of this bench is measured.
     """
     board = calibrated_positions(used).board
     if board is not None and board.bottom != bottom:
         raise RefusedError(
             "CALIBRATION-OTHER-BOTTOM",
             f"Board: it was measured on {board.bottom}, not on {bottom}.",
-            f"Run '{command} --bottom {bottom}'.",
+            f"{step[:1].upper()}{step[1:]}.",
         )
 
 
@@ -123,19 +123,20 @@ def calibrated_cameras(settings: GelsightSettings, record: CalibrationRecord) ->
 
 
 def camera_conflicts(
-    settings: GelsightSettings, record: CalibrationRecord, command: str
+    settings: GelsightSettings, record: CalibrationRecord, step: str
 ) -> dict[str, str]:
     """Return, by device, a message where settings and calibration disagree on a camera.
 
-    The calibration is used. The first message contains the remedy; ``command`` measures again.
+    The calibration is used. The first message contains the remedy; ``step``: clause on how to
+    measure again.
     """
     sits, told = calibrated_cameras(settings, record), dict[str, str]()
     for finger in FINGERS:
         written, found = getattr(settings, finger).serial, getattr(sits, finger).serial
         if written and written != found:
             advice = (
-                ". Exchange the two in the file; or, if the sensors have changed places since, run "
-                f"'{command}'"
+                ". Exchange the two in the file; or, if the sensors have changed places since, "
+                f"{step}"
             )
             told[f"tactile_{finger}"] = (
                 f"The lab file names {written} for the {finger} finger, the calibration of "

@@ -120,7 +120,7 @@ class DayCheck(Settings):
 class DayChecks:
     """Checks of one bench, by its hash ``bench`` ("": of any), in ``path`` (None: none).
 
-    ``required``: unattended release needs a check of the same day. ``command`` makes a check.
+    ``required``: unattended release needs a check of the same day. ``step``: how to check.
     ``gels``: serial numbers by finger, where known. All methods raise ``InputError`` for an error
     of the disk.
     """
@@ -129,12 +129,12 @@ class DayChecks:
         self,
         path: Path | None,
         bench: str = "",
-        command: str = "",
+        step: str = "",
         *,
         required: bool = False,
         gels: Mapping[Finger, str] | None = None,
     ) -> None:
-        self._path, self._bench, self._command, self._required = path, bench, command, required
+        self._path, self._bench, self._step, self._required = path, bench, step, required
         self._gels = {str(finger): gel for finger, gel in (gels or {}).items()}
 
     def judge(self, found: CalibrationMeasured, now: datetime | None = None) -> CalibrationMeasured:
@@ -186,7 +186,7 @@ class DayChecks:
             why = "There is no daily check of today"
         else:
             return ""
-        return f"{why}: each release is asked. Run '{self._command}'."
+        return f"{why}: each release is asked. {self._step[:1].upper()}{self._step[1:]}."
 
     def read(self) -> tuple[list[DayCheck], bool]:
         """Return the last check of each day, and True if the last line is damaged."""

@@ -200,19 +200,19 @@ Condition = Literal["valid", "expired", "missing", "other device", "gel replaced
 class CalibrationStatus:
     """Validity of one calibration: ``record`` if any, ``why`` it is not valid, or "".
 
-    ``command``: measures it again on this bench.
+    ``step``: clause on how it is measured again on this bench.
     """
 
     what: CalibrationName
     condition: Condition
     record: CalibrationRecord | None
     why: str
-    command: str
+    step: str
 
     @property
     def fix(self) -> str:
         """Remedy, or "" if it is valid."""
-        return "" if self.condition == "valid" else f"Run '{self.command}'."
+        return "" if self.condition == "valid" else f"{self.step[:1].upper()}{self.step[1:]}."
 
     @property
     def notice(self) -> str:
@@ -225,30 +225,32 @@ class CalibrationStatus:
 class CalibrationStore:
     """Calibration files of one folder and one bench ``mode``.
 
-    ``where``: argument that names the bench on the command line, such as "--bench lab.toml".
+    ``where``: argument that names the bench on the command line, such as "--bench lab.toml"; None:
+    it is calibrated in the window.
     ``gels``: serial numbers of the left and the right gel, if known.
     """
 
     def __init__(
-        self, folder: Path, mode: Mode, where: str = "", gels: tuple[str, str] | None = None
+        self, folder: Path, mode: Mode, where: str | None = "", gels: tuple[str, str] | None = None
     ) -> None:
         self.folder: Path = folder
         self.mode: Mode = mode
         self._where = where
         self.gels: GelLedger = GelLedger(folder, mode, gels)
 
-    def command(self, what: CalibrationName) -> str:
-        """Return the command that measures and accepts a calibration of this bench."""
-        if what == "day":
-            return f"touchdown check-day {self._where}".rstrip()
-        return " ".join(filter(None, ("touchdown calibrate", what, self._where, "--accept")))
+    def step(self, what: CalibrationName, *more: str) -> str:
+        """Return the clause on how to measure a calibration; ``more``: arguments of the command."""
+        if self._where is None:
+            return f"measure {CALIBRATION_KINDS[what].title} in Calibrate (Ctrl+Shift+K)"
+        verb, end = ("check-day", "") if what == "day" else (f"calibrate {what}", "--accept")
+        return f"run '{' '.join(filter(None, ('touchdown', verb, self._where, end, *more)))}'"
 
     def day_checks(self, identity: BenchIdentity, bench_sha256: str = "") -> DayChecks:
         """Return the daily checks of a bench; ``bench_sha256`` names one without identity."""
         path = self.folder / f"day-checks-{self.mode}.jsonl"
         bench, required = identity.sha256 or bench_sha256, identity.daily_check
         gels = self.gels.serials
-        return DayChecks(path, bench, self.command("day"), required=required, gels=gels)
+        return DayChecks(path, bench, self.step("day"), required=required, gels=gels)
 
     def check_writable(self) -> None:
         """Raise ``InputError`` unless calibrations and daily checks can be stored."""
@@ -313,7 +315,7 @@ class CalibrationStore:
 
         Devices that are not connected are not compared.
         """
-        status = partial(CalibrationStatus, what, command=self.command(what))
+        status = partial(CalibrationStatus, what, step=self.step(what))
         try:
             record = self._newest(what)
             seen = record if what == "camera" else None

@@ -30,7 +30,7 @@ from touchdown.backend.learning.inference import (
 
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
-FIX = "Use the model that came with Touchdown, or train again with 'touchdown train'."
+FIX = "Use the model that came with Touchdown, or train again."
 STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
 FULL_PRECISION = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")
@@ -208,7 +208,7 @@ def check_face(
         what = f"The model was trained for another version of '{piece}' (content hash differs)."
     else:
         return
-    fix = f"Choose the model of '{piece}', or train one: touchdown train --piece {piece}."
+    fix = f"Choose the model of '{piece}', or train one."
     raise InputError(what, where, fix)
 
 

@@ -114,7 +114,7 @@ def shipped_model(piece: str) -> Path:
         raise InputError(
             f"No model ships for piece '{piece}'.",
             str(path),
-            "Train one with `touchdown train` and name it with --model.",
+            "Train one of this piece and choose it.",
         )
     return path
 

@@ -67,15 +67,18 @@ def calibrations_for(
     Stacking and collecting on hardware need all of them; other runs use those that are valid.
 
     Raises ``RefusedError`` naming the first calibration that is missing, expired, damaged, or of
-    another device or bottom, with the command that measures it.
+    another device or bottom, and how it is measured.
     """
     required = mode == "hardware" and isinstance(request, StackRequest | CollectRequest)
     if store is not None:
         used = store.in_use(device_names(devices), required=required)
         if required and isinstance(request, StackRequest):
-            require_calibrated_bottom(used, "+".join(request.bottoms), store.command("board"))
+            bottom = "+".join(request.bottoms)
         elif required and isinstance(request, CollectRequest):
-            require_calibrated_bottom(used, request.bottom, store.command("board"))
+            bottom = request.bottom
+        else:
+            return used
+        require_calibrated_bottom(used, bottom, store.step("board", f"--bottom {bottom}"))
         return used
     if required:
         raise core.RefusedError("CALIBRATION-MISSING", "This bench has no folder of calibrations.")
@@ -229,7 +232,7 @@ class GelCheck:
             what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be identified."
             raise _fault("GEL-MOVES", name, what, "Let go of the gel and connect again.")
         owner, mirror = identify_gel(seen.position_px, known, name, limit_px)
-        again = "" if self._store is None else self._store.command("camera")
+        again = "" if self._store is None else self._store.step("camera")
         raise other_gel_fault(finger, (away_px, limit_px), _next_step(name, owner, mirror), again)
 
     def _known(self) -> dict[str, core.FloatArray]:
@@ -255,7 +258,7 @@ def other_gel_fault(
     """Return the fault of a gel whose markers rest ``px[0]`` from the calibrated ones (limit
     ``px[1]``).
 
-    ``again`` is the command that calibrates the cameras.
+    ``again``: clause on how the cameras are calibrated.
     """
     away_px, limit_px = px
     far = f"{away_px:.1f} px" if away_px < float("inf") else "too few dots seen"
@@ -263,7 +266,7 @@ def other_gel_fault(
         f"The {finger} finger has another gel than when the cameras were calibrated: its dots "
         f"rest {far} from where they did (rms, limit {limit_px:g} px)."
     )
-    on_purpose = f"If it was changed on purpose, run '{again}'."
+    on_purpose = f"If it was changed on purpose, {again}."
     return _fault("GEL-OTHER", f"tactile_{finger}", what, f"{next_step} {on_purpose}")
 
 

@@ -277,6 +277,10 @@ def test_the_newest_holds_until_it_expires(store):
     late = store.status("payload", DEVICES, NOW + timedelta(94))
     assert (late.condition, late.why) == ("expired", "expired 3 days ago")
     assert late.fix == "Run 'touchdown calibrate payload --bench lab.toml --accept'."
+    window = CalibrationStore(store.folder, "hardware", where=None)
+    late = window.status("payload", DEVICES, NOW + timedelta(94))
+    assert late.fix == "Measure Payload in Calibrate (Ctrl+Shift+K)."
+    assert window.step("day") == "measure Daily check in Calibrate (Ctrl+Shift+K)"
 
 
 def test_a_calibration_belongs_to_its_devices_and_to_its_kind_of_bench(store):

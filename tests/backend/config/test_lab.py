@@ -314,3 +314,8 @@ def test_a_file_with_the_cameras_exchanged_is_told_and_the_calibration_counts(pa
     checks = list(islice(lab_checks(path), 3))
     assert [check.word for check in checks] == ["OK", "NOTE", "NOTE"]
     assert notices["tactile_left"] == f"{checks[2].detail}. {checks[2].fix}".removesuffix(".")
+    assert "run 'touchdown calibrate camera --bench" in notices["tactile_left"]
+    with lab_session(LabChoice(path, window=True), keep=RecordingOptions(None)) as seen:
+        notice = seen.connection.notices["tactile_left"]
+        assert notice.endswith("measure Tactile cameras in Calibrate (Ctrl+Shift+K)")
+        assert "Calibrate (Ctrl+Shift+K)" in seen.calibrations.status("board", {}).fix

@@ -162,7 +162,7 @@ def test_cameras_are_kept_as_they_sit_whatever_the_settings_were(tmp_path):
     # What it corrects is the file, however often it is read; other cameras are left alone.
     assert calibrated_cameras(seen, record) == seen
     # That it counts is said, of each camera that is named otherwise.
-    told = camera_conflicts(settings, record, "touchdown calibrate camera")
+    told = camera_conflicts(settings, record, "run 'touchdown calibrate camera'")
     assert list(told) == ["tactile_left", "tactile_right"]
     assert "names AAAA-1111 for the left finger" in told["tactile_left"]
     assert "found BBBB-2222 there, which is used" in told["tactile_left"]

@@ -12,8 +12,6 @@ from pathlib import Path
 from touchdown.backend import experiments
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.cli.experiment import campaign
-from touchdown.backend.cli.experiment.certify import add_certify_arguments, run_certify
-from touchdown.backend.cli.experiment.evaluation import add_evaluation_arguments, run_evaluation
 from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import SimulationSettings, StackSettings
 from touchdown.backend.core import (
@@ -344,6 +342,151 @@ def _recipe(run: campaign.ExperimentRun) -> experiments.Recipe:
     return experiments.Recipe(
         scale, bench, package_version("touchdown"), models, pieces, args.device
     )
+
+
+def add_evaluation_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``elsewhere``."""
+    asked = parser.add_argument_group("elsewhere")
+    asked.add_argument("--groups", type=int, default=20, help="of three probes, in each cell")
+    asked.add_argument("--gel", choices=("half-space", "finite-elements"), default="half-space",
+                       help="of the second world")  # fmt: skip
+    asked.add_argument("--first", type=int, default=0, metavar="N", help="number of the first "
+                       "group and trial in each cell; tune on others than reported")  # fmt: skip
+
+
+def run_evaluation(run: campaign.ExperimentRun) -> campaign.Json:
+    """Run ``elsewhere`` and write its file.
+
+    Raises ``InputError`` for counts without work, for unknown names, and if the second world lacks
+    its engine.
+    """
+    from touchdown.backend.simulation import import_mujoco
+    from touchdown.backend.simulation.second_world import import_skfem
+
+    args, bench, code = run.args, run.bench(), package_version("touchdown")
+    if min(args.groups, args.trials) < 0 or args.groups + args.trials == 0:
+        raise InputError(
+            "The counts give no presses.", "--groups, --trials", "Give a positive number of one."
+        )
+    (piece, *others) = campaign.parse_names(args.pieces, experiments.PIECES, "--pieces")
+    if others:
+        raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
+    bottoms = campaign.parse_names(args.bottoms, experiments.TABLE_BOTTOMS, "--bottoms")
+    strategies = campaign.parse_strategies(args.strategies, experiments.EVALUATED_STRATEGIES)
+    found = run.models(bench)
+    import_mujoco()
+    there = "elsewhere"
+    if args.gel != "half-space":
+        import_skfem()
+        there = f"elsewhere-{args.gel}"
+    require_positive(args, "first", least=0)
+    plan = experiments.DomainShift(
+        bench=bench,
+        code=code,
+        piece=piece,
+        models={n: found[piece, n] for n in ("FT+Tac", "FT") if (piece, n) in found},
+        bottoms=bottoms,
+        strategies=strategies,
+        groups=args.groups,
+        trials=args.trials,
+        first=args.first,
+        there=there,
+    )
+    run.run(plan.jobs())
+    answer = plan.answer(run.store)
+    for table in experiments.shift_tables(answer):
+        run.screen.table(table.title, *table.texts())
+    path = args.out / "elsewhere.json"
+    campaign.write_json(path, answer)
+    return {"file": str(path), **run.counts(), "elsewhere": answer}
+
+
+KEPT_BESIDE = "Free some space, or copy the model to another folder; finished jobs are kept."
+
+
+def add_certify_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``certify``."""
+    group = parser.add_argument_group("certify")
+    group.add_argument("--model", type=Path, metavar="FILE", help="network of 'fused' (default: "
+                       "the one that ships); the certificate and the log of attempts lie "
+                       "beside it")  # fmt: skip
+    group.add_argument("--level", default="", metavar="RISK", help="accepted risk, chosen before "
+                       "on other scenes; several separated by commas share the error")  # fmt: skip
+    group.add_argument("--scenes", type=int, default=experiments.LEAST_SCENES, metavar="N",
+                       help="fresh scenes of each level, at least "
+                       f"{experiments.LEAST_SCENES:,}")  # fmt: skip
+
+
+def run_certify(run: campaign.ExperimentRun) -> campaign.Json:
+    """Run an attempt, write its counts to the log, and the certificate if its bound holds.
+
+    Raises ``InputError`` for a missing level or too few scenes.
+    """
+    # Imported here so that `--help` starts without torch.
+    from touchdown.backend.learning.fused import (
+        AttemptLog,
+        attempts_path,
+        certificate_of_attempt,
+        shipped_path,
+        write_certificate,
+    )
+
+    screen = run.screen
+    plan = _plan(run, run.args.model or shipped_path())
+    log = AttemptLog(attempts_path(plan.weights))
+    attempt = plan.begin(log)
+    screen.say(
+        f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "
+        f"{attempt.seed}. It is spent, whatever comes out."
+    )
+    run.run(plan.jobs(attempt))
+    counts = plan.counts(attempt, run.store)
+    file = None
+    if counts and attempt.state == "begun":
+        attempt = log.closed(attempt, counts)
+        found = certificate_of_attempt(attempt, simulated=True, pieces=experiments.PIECES)
+        # The log last: an attempt that is interrupted here is continued.
+        with disk_errors(campaign.UNWRITTEN, plan.weights.parent, KEPT_BESIDE):
+            if found is not None:
+                file = write_certificate(plan.weights.parent, plan.weights.stem, found)
+        log.append(attempt)
+        screen.say(
+            "The bound exceeds 1 %: no certificate." if found is None
+            else f"Certificate: {found.summary()}. It is in {file}."
+        )  # fmt: skip
+    for level in counts:
+        screen.say(
+            f"At a risk of {100 * level.risk:g} %: {level.unsafe:,} of {level.releases:,} releases "
+            f"unsafe, at most {100 * level.bound:.2f} %; {level.placed:,} of {level.scenes:,} "
+            f"scenes placed, harm in {level.harmed:,}."
+        )
+    answer = {"attempt": attempt.model_dump(mode="json")}
+    path = run.args.out / "certify.json"
+    campaign.write_json(path, answer)
+    certificate = None if file is None else str(file)
+    return {"file": str(path), "certificate": certificate, **run.counts(), **answer}
+
+
+def _plan(run: campaign.ExperimentRun, weights: Path) -> experiments.Certification:
+    args, bench = run.args, run.bench()
+    try:
+        risks = tuple(float(text) for text in args.level.split(","))
+        if not all(0.0 < risk < 1.0 for risk in risks) or len(set(risks)) < len(risks):
+            raise ValueError
+    except ValueError as error:
+        raise InputError(
+            "A certificate is of a risk that was chosen before.",
+            "--level",
+            "Give a probability between 0 and 1, such as 0.03, or several different ones.",
+        ) from error
+    if args.scenes < experiments.LEAST_SCENES:
+        raise InputError(
+            f"{args.scenes} scenes are too few.",
+            "--scenes",
+            f"Give at least {experiments.LEAST_SCENES}.",
+        )
+    name, code = args.bench.stem if args.bench else bench.preset, package_version("touchdown")
+    return experiments.Certification(bench, name, weights.resolve(), risks, args.scenes, code)
 
 
 WAYS = {

@@ -1,24 +1,169 @@
-"""Presenter of the connection panel."""
+"""Connection panel: its sheet and its presenter, and the dialogs of a bench."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-from PySide6.QtWidgets import QWidget
+from PySide6.QtCore import QRect, Qt, Signal
+from PySide6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
 from touchdown.app.calibrate import CalibratePresenter
 from touchdown.app.connect.devices import DevicesPresenter
 from touchdown.app.connect.limits import LimitsPresenter
-from touchdown.app.connect.sheet import ConnectSheet, ConnectView, DeviceRowView
-from touchdown.app.shell import carry_out, is_run_active
+from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, is_run_active
 from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
-from touchdown.widgets.base import Theme, tr
+from touchdown.widgets.base import Theme, label, rule, set_property, tr
 from touchdown.widgets.shell import DEVICE_CHIPS, FaultCards
+
+MARKS = {
+    "done": "\N{CHECK MARK}",
+    "now": "\N{HORIZONTAL ELLIPSIS}",
+    "failed": "\N{MULTIPLICATION X}",
+    "open": "\N{MIDDLE DOT}",
+}
+TALLEST_PX = 10_000
+TONES = {"done": "good", "failed": "bad"}
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceRowView:
+    """One device: ``marks`` of its steps (done, now, failed, open), a sentence, its buttons.
+
+    ``label`` is the text of the first button, ``extra`` that of the second, "" without one.
+    """
+
+    title: str
+    state: str
+    marks: tuple[str, ...]
+    text: str
+    bad: bool
+    label: str
+    can: bool
+    extra: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectView:
+    """State of the connection panel."""
+
+    head: str
+    text: str
+    rows: tuple[DeviceRowView, ...]
+    busy: bool
+    can: bool
+
+
+@dataclass(slots=True)
+class _DeviceRow:
+    name: QLabel
+    state: QLabel
+    marks: list[QLabel]
+    text: QLabel
+    button: QPushButton
+    extra: QPushButton
+    shown: DeviceRowView | None = field(default=None)
+
+
+class ConnectSheet(BenchSheet):
+    """Connection panel."""
+
+    row_pressed = Signal(int)
+    extra_pressed = Signal(int)
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent, "Connect")
+        self.head, self.text = label("", "head"), label("", wrap=True)
+        self.question = QuestionRow()
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(16)
+        self._grid.setVerticalSpacing(8)
+        self._grid.setColumnStretch(len(CONNECTION_STEPS) + 2, 1)
+        self._rows: list[_DeviceRow] = []
+        self.connect_all = QPushButton(tr("Connect all"))
+        self.connect_all.setProperty("role", "primary")
+        self.cancel = QPushButton(tr("Cancel"))
+        self.disconnect_all = QPushButton(tr("Disconnect all"))
+        self.devices, self.limits = QPushButton(tr("Devices")), QPushButton(tr("Limits"))
+        self.connect_all.setToolTip(tr("One after the other, the arm last; nothing moves"))
+        self.cancel.setToolTip(tr("End connecting; what is connected stays so"))
+        self.disconnect_all.setToolTip(tr("First the arm goes off; the gripper keeps its grip"))
+        self.devices.setToolTip(tr("Choose makes, ports and cameras, and save the lab file"))
+        foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
+        self.arrange(
+            self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10
+        )
+        self.give_width(64)
+
+    def show_look(self, look: ConnectView) -> None:
+        """Update the panel."""
+        self.head.setText(tr(look.head))
+        self.text.setText(tr(look.text))
+        if len(look.rows) != len(self._rows):
+            self._build(look.rows)
+        for row, shown in zip(self._rows, look.rows, strict=True):
+            if row.shown != shown:
+                row.shown = shown
+                self._show_row(row, shown)
+        self.connect_all.setEnabled(look.can and not look.busy)
+        self.cancel.setEnabled(look.busy)
+        self.disconnect_all.setEnabled(look.can and not look.busy)
+
+    def row(self, index: int) -> tuple[str, str, QPushButton, QPushButton]:
+        """Return (state, sentence, first button, second button) of a device."""
+        row = self._rows[index]
+        return row.state.text(), row.text.text(), row.button, row.extra
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _build(self, looks: Sequence[DeviceRowView]) -> None:
+        for column, step in enumerate(CONNECTION_STEPS):
+            self._grid.addWidget(label(step, "small"), 0, column + 2)
+        for index, look in enumerate(looks):
+            row = _DeviceRow(
+                label(look.title, "title"),
+                label("", "muted"),
+                [label("") for _ in CONNECTION_STEPS],
+                label("", wrap=True),
+                QPushButton(tr("Connect"), autoDefault=False),
+                QPushButton("", autoDefault=False),
+            )
+            row.button.clicked.connect(partial(self.row_pressed.emit, index))
+            row.extra.clicked.connect(partial(self.extra_pressed.emit, index))
+            widgets = (row.name, row.state, *row.marks, row.text, row.extra, row.button)
+            for column, widget in enumerate(widgets):
+                self._grid.addWidget(widget, index + 1, column)
+                if isinstance(widget, QLabel) and widget in row.marks:
+                    self._grid.setAlignment(widget, Qt.AlignmentFlag.AlignHCenter)
+            self._rows.append(row)
+
+    def _show_row(self, row: _DeviceRow, look: DeviceRowView) -> None:
+        row.state.setText(tr(look.state))
+        for mark, word, step in zip(row.marks, look.marks, CONNECTION_STEPS, strict=True):
+            mark.setText(MARKS[word])
+            mark.setAccessibleName(f"{tr(look.title)}, {tr(step)}: {tr(word)}")
+            set_property(mark, "tone", TONES.get(word, ""))
+        row.text.setText(tr(look.text))
+        # A label in a grid does not request the height of its wrapped text.
+        metrics, least = self.fontMetrics(), 3 if look.bad else 2
+        room = QRect(0, 0, (25 if look.extra else 30) * metrics.height(), TALLEST_PX)
+        high = metrics.boundingRect(room, Qt.TextFlag.TextWordWrap, look.text).height()
+        row.text.setMinimumHeight(max(high, least * metrics.lineSpacing()) + 2)
+        set_property(row.text, "tone", "bad" if look.bad else "")
+        row.button.setText(tr(look.label))
+        row.button.setAccessibleName(f"{tr(look.label)} {tr(look.title)}")
+        row.button.setEnabled(look.can)
+        row.extra.setVisible(bool(look.extra))
+        row.extra.setText(tr(look.extra))
+        row.extra.setAccessibleName(f"{tr(look.extra)} {tr(look.title)}")
+        row.extra.setEnabled(look.can)
+
 
 PERIOD_S = 0.1
 TITLES = dict(DEVICE_CHIPS)
@@ -40,7 +185,7 @@ class ConnectPresenter:
     ) -> None:
         self._bench, self._connection, self._cards, self._now_s = bench, connection, cards, now_s
         self.devices = DevicesPresenter(bench, window)
-        self.sheet = sheet = ConnectSheet(window, CONNECTION_STEPS)
+        self.sheet = sheet = ConnectSheet(window)
         sheet.connect_all.clicked.connect(self._connect)
         sheet.cancel.clicked.connect(connection.cancel)
         sheet.disconnect_all.clicked.connect(lambda: self._ordered(lambda: self._leave(())))
@@ -146,11 +291,10 @@ def device_row(line: DeviceStatus, *, can: bool, gel: str = "") -> DeviceRowView
         who = line.identity
         text = f"{who.maker} {who.model}, {who.serial}"
         text = ". ".join(filter(None, (text, gel, line.notice)))
-    order = "disconnect" if line.state == "ready" else "connect"
-    words = {"disconnect": "Disconnect", "connect": "Retry" if failed else "Connect"}
+    word = "Disconnect" if line.state == "ready" else "Retry" if failed else "Connect"
     return DeviceRowView(
         TITLES.get(line.name, line.name), line.state, tuple(marks), text,
-        line.fault is not None or bool(line.notice), order, words[order], can, EXTRA[line.needs],
+        line.fault is not None or bool(line.notice), word, can, EXTRA[line.needs],
     )  # fmt: skip
 
 

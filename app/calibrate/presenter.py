@@ -14,22 +14,13 @@ from PySide6.QtWidgets import QWidget
 from touchdown.app import shell
 from touchdown.app.calibrate.identify import IdentifySheet
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
+from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     MEASUREMENT_NAMES,
     CalibrationName,
     CalibrationStatus,
     DayCheck,
-)
-from touchdown.backend.core import (
-    FINGERS,
-    CalibrationMeasured,
-    Event,
-    HandOverAwaited,
-    InputError,
-    Progress,
-    RunFinished,
-    RunStarted,
 )
 from touchdown.backend.runs import (
     CalibrateRequest,
@@ -72,8 +63,8 @@ class CalibratePresenter:
         self.open_bench: Callable[[Path], None] = lambda file: None
         self._chosen: CalibrationName = MEASUREMENT_NAMES[0]
         self._running: CalibrationName | None = None
-        self._progress = Progress(0.0, 0, 1, "")
-        self._measured: dict[CalibrationName, CalibrationMeasured] = {}
+        self._progress = core.Progress(0.0, 0, 1, "")
+        self._measured: dict[CalibrationName, core.CalibrationMeasured] = {}
         self._said: dict[CalibrationName, str] = {}
         self._standings: dict[CalibrationName, CalibrationStatus] = {}
         self._history: tuple[DayCheck, ...] = ()
@@ -106,28 +97,28 @@ class CalibratePresenter:
             return usual
         return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Follow calibration runs, also those started elsewhere."""
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             known = {str(what): what for what in MEASUREMENT_NAMES}
             self._running = known.get(event.strategy) if event.activity == "calibrate" else None
-            self._progress = Progress(event.t_s, 0, 1, "")
+            self._progress = core.Progress(event.t_s, 0, 1, "")
             return
         if self._running is None:
             return
-        if isinstance(event, Progress):
+        if isinstance(event, core.Progress):
             self._progress = event
-        elif isinstance(event, CalibrationMeasured):
+        elif isinstance(event, core.CalibrationMeasured):
             if self._running != "day":  # which is stored at once
                 self._measured[self._running] = event
             self._read_s = float("-inf")
             self._said.pop(self._running, None)
-        elif isinstance(event, HandOverAwaited) and self.sheet is not None:
+        elif isinstance(event, core.HandOverAwaited) and self.sheet is not None:
             answer = self._bench.answer
             self.sheet.question.ask(
                 hand_over_message(event), "End the run", "Done", lambda: answer(True)
             )
-        elif isinstance(event, RunFinished):
+        elif isinstance(event, core.RunFinished):
             if event.ending != "finished":
                 self._said[self._running] = event.reason
             self._running = None
@@ -192,7 +183,7 @@ class CalibratePresenter:
             names = device_names(self._bench.devices)
             try:
                 self._history = tuple(self._bench.day_checks.read()[0])
-            except InputError as error:
+            except core.InputError as error:
                 self._history, self._said["day"] = (), f"{error.what} {error.where}"
             self._standings = {what: store.status(what, names) for what in MEASUREMENT_NAMES}
 
@@ -267,7 +258,7 @@ class CalibratePresenter:
 
     def _draw_fingers(self, sheet: CalibrateSheet) -> None:
         now_s = self._bench.clock_s()
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             frame, view = self._bench.frames[finger].newest(), sheet.fingers[finger]
             if frame is None:
                 continue

@@ -7,20 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from touchdown.backend.core import (
-    CampaignBegan,
-    EpisodeDecided,
-    Event,
-    FaultRaised,
-    Gripped,
-    OriginChecked,
-    ProbeCollected,
-    Refused,
-    RunFinished,
-    RunStarted,
-    Said,
-    parse_json,
-)
+from touchdown.backend import core
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.views import offset_text
 
@@ -29,13 +16,13 @@ from touchdown.widgets.views import offset_text
 class CollectedRun:
     """A recorded collecting run. ``probes`` in order of recording; ``decided`` by episode."""
 
-    head: RunStarted
-    begun: CampaignBegan | None = None
-    probes: list[ProbeCollected] = field(default_factory=list)
-    decided: dict[str, EpisodeDecided] = field(default_factory=dict)
+    head: core.RunStarted
+    begun: core.CampaignBegan | None = None
+    probes: list[core.ProbeCollected] = field(default_factory=list)
+    decided: dict[str, core.EpisodeDecided] = field(default_factory=dict)
     grips: set[tuple[int, int]] = field(default_factory=set)
     told: list[str] = field(default_factory=list)
-    ended: RunFinished | None = None
+    ended: core.RunFinished | None = None
 
     @property
     def headline(self) -> str:
@@ -65,7 +52,7 @@ class CollectedRun:
         ]
         return "\n".join(lines)
 
-    def _probe_words(self, probe: ProbeCollected) -> str:
+    def _probe_words(self, probe: core.ProbeCollected) -> str:
         decided = self.decided.get(probe.uuid)
         word = "refused" if probe.reasons else "kept" if decided is None else decided.decision
         return f"{tr(word)}, {offset_text(probe.measured_mm)}"
@@ -77,65 +64,65 @@ class CollectedRun:
         return ", ".join(parts)
 
 
-def collected_run(facts: Iterable[Event]) -> CollectedRun | None:
+def collected_run(facts: Iterable[core.Event]) -> CollectedRun | None:
     """Return the collecting run described by the events, None for another kind of run."""
     found: CollectedRun | None = None
     for event in facts:
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             found = CollectedRun(event) if event.activity == "collect" else None
         elif found is not None:
             _add_event(found, event)
     return found
 
 
-def _add_event(found: CollectedRun, event: Event) -> None:
-    if isinstance(event, CampaignBegan):
+def _add_event(found: CollectedRun, event: core.Event) -> None:
+    if isinstance(event, core.CampaignBegan):
         found.begun = found.begun or event
-    elif isinstance(event, ProbeCollected):
+    elif isinstance(event, core.ProbeCollected):
         found.probes.append(event)
-    elif isinstance(event, EpisodeDecided):
+    elif isinstance(event, core.EpisodeDecided):
         found.decided[event.uuid] = event
-    elif isinstance(event, Gripped):
+    elif isinstance(event, core.Gripped):
         found.grips.add((event.mounting, event.grip))
-    elif isinstance(event, RunFinished):
+    elif isinstance(event, core.RunFinished):
         found.ended = event
     if text := event_text(event):
         found.told.append(text)
 
 
-def event_text(event: Event) -> str:
+def event_text(event: core.Event) -> str:
     """Return an event of a collecting run as text, "" for other events."""
-    if isinstance(event, Said | Refused):
+    if isinstance(event, core.Said | core.Refused):
         return event.text
-    if isinstance(event, FaultRaised):
+    if isinstance(event, core.FaultRaised):
         return f"{event.fault.what} {event.fault.next_step}"
-    if isinstance(event, Gripped):
+    if isinstance(event, core.Gripped):
         return tr("Grip {} of mounting {}, {:.1f} g held", event.grip, event.mounting, event.mass_g)
-    if isinstance(event, OriginChecked):
+    if isinstance(event, core.OriginChecked):
         agrees, differs = "The origin agrees: off by {}", "The origin does not agree: off by {}"
         off = offset_text(event.residual_mm, event.sigma_mm)
         return tr(agrees if event.agrees else differs, off)
-    if isinstance(event, EpisodeDecided):
+    if isinstance(event, core.EpisodeDecided):
         person = event.person or tr("nobody named")
         return tr("{}: {}, item {}", person, tr(event.decision), event.item)
-    if isinstance(event, CampaignBegan):
+    if isinstance(event, core.CampaignBegan):
         return tr("The campaign goes on at {} of {} probes", event.done, event.total)
-    if isinstance(event, ProbeCollected):
+    if isinstance(event, core.ProbeCollected):
         said = tr("Probe {} of {}", event.done, event.total)
         return f"{said}: {tr('refused')}, {event.reasons}" if event.reasons else said
-    return _ending(event) if isinstance(event, RunFinished) else ""
+    return _ending(event) if isinstance(event, core.RunFinished) else ""
 
 
-def _ending(ended: RunFinished | None) -> str:
+def _ending(ended: core.RunFinished | None) -> str:
     if ended is None:
         return tr("The journal ends before the run did.")
     return tr("Run {}.", tr(ended.ending)) + (f" {ended.reason}" if ended.reason else "")
 
 
-def _request(head: RunStarted) -> dict[str, Any]:
+def _request(head: core.RunStarted) -> dict[str, Any]:
     """Return the request of the run; empty if the log does not contain it."""
     try:
-        request = parse_json(head.settings).get("request", {})
+        request = core.parse_json(head.settings).get("request", {})
     except (ValueError, AttributeError):
         return {}
     return request if isinstance(request, dict) else {}

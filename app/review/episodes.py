@@ -13,22 +13,9 @@ import numpy as np
 
 from touchdown.app.review.timing import TrialTimeline
 from touchdown.app.shell import ModelPrelabeller
+from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeEntry
 from touchdown.backend.config import StackSettings
-from touchdown.backend.core import (
-    FINGERS,
-    BeliefUpdated,
-    Episode,
-    EpisodeRecorded,
-    Event,
-    Finger,
-    ImageArray,
-    InputError,
-    PatchEstimated,
-    RunStarted,
-    StabilityJudged,
-    TrialStarted,
-)
 from touchdown.backend.episodes import CompressedEpisode, read_compressed_episode
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.placement import Belief, judge_stability
@@ -65,7 +52,7 @@ def read_trial_recording(paths: Sequence[Path]) -> TrialRecording:
     for path in paths:
         try:
             films.append(read_compressed_episode(path))
-        except InputError as error:
+        except core.InputError as error:
             missing.append(f"{path.name}: {error.what}")
     return join_films(films, tuple(missing))
 
@@ -79,11 +66,11 @@ def join_films(films: Sequence[CompressedEpisode], missing: tuple[str, ...] = ()
         if (r := film.episode.recording) is not None and len(r.wrench_t_s)
     )
     return TrialRecording(
-        {finger: _film_track(films, finger) for finger in FINGERS}, traces, missing
+        {finger: _film_track(films, finger) for finger in core.FINGERS}, traces, missing
     )
 
 
-def _film_track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack:
+def _film_track(films: Sequence[CompressedEpisode], finger: core.Finger) -> FilmTrack:
     fields = tuple(
         one
         for film in films
@@ -95,7 +82,7 @@ def _film_track(films: Sequence[CompressedEpisode], finger: Finger) -> FilmTrack
     stamps = [film.pictures[finger].t_s for film in films]
 
     @lru_cache(KEPT_PICTURES)
-    def picture(index: int) -> ImageArray:
+    def picture(index: int) -> core.ImageArray:
         film, at = where[index]
         return film.pictures[finger].picture(at)
 
@@ -178,7 +165,7 @@ def plan_text(dataset: Dataset, campaign: str) -> str:
     """Return the plan of a campaign as text, "" without a readable plan."""
     try:
         plan = read_campaign(dataset.folder, campaign) if campaign else None
-    except InputError:
+    except core.InputError:
         return ""
     if plan is None:
         return ""
@@ -196,14 +183,14 @@ def read_stored_episode(
     episode = film.episode
     recording = episode.recording
     begun_s = episode.onset_s if recording is None else float(recording.wrench_t_s[0])
-    head = RunStarted(
+    head = core.RunStarted(
         begun_s, entry.series, entry.piece, entry.bottom, "paper", 0, 1, entry.mode != "lab", "{}"
     )  # fmt: skip
-    bare = Episode(entry.uuid, entry.piece, episode.observation, episode.offset_mm,
+    bare = core.Episode(entry.uuid, entry.piece, episode.observation, episode.offset_mm,
                    episode.onset_s, episode.quality)  # fmt: skip
-    facts: list[Event] = [
-        TrialStarted(begun_s, 1, 0, at),
-        EpisodeRecorded(episode.onset_s + JUDGED_S, bare, 1, entry.path),
+    facts: list[core.Event] = [
+        core.TrialStarted(begun_s, 1, 0, at),
+        core.EpisodeRecorded(episode.onset_s + JUDGED_S, bare, 1, entry.path),
     ]
     says = tr("No displacement is labelled.") if at is None else ""
     if at is not None:
@@ -217,9 +204,9 @@ def _model_reading(
     models: ModelPrelabeller,
     catalogue: PieceLibrary,
     entry: EpisodeEntry,
-    episode: Episode,
+    episode: core.Episode,
     at_mm: tuple[float, float],
-) -> Sequence[Event]:
+) -> Sequence[core.Event]:
     """Return the events of the method for this probe at the labelled displacement."""
     found = models.model(entry.piece)
     if found is None:
@@ -229,14 +216,14 @@ def _model_reading(
     try:
         patch = model.estimate(episode)
         piece = catalogue.piece(entry.piece)
-    except (InputError, ValueError):
+    except (core.InputError, ValueError):
         # No estimate for a dropped sample or a piece of another catalogue.
         return []
     unknown = Belief.unknown(settings.belief, at_mm, model.base_rate)
     belief = unknown.updated(patch, at_mm)
     stability = judge_stability(belief, patch, piece.com_xy_mm, at_mm, settings.stability)
     return [
-        PatchEstimated(t_s, patch, at_mm, 1),
-        BeliefUpdated(t_s, belief.map, 1),
-        StabilityJudged(t_s, stability, 1),
+        core.PatchEstimated(t_s, patch, at_mm, 1),
+        core.BeliefUpdated(t_s, belief.map, 1),
+        core.StabilityJudged(t_s, stability, 1),
     ]

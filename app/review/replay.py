@@ -14,22 +14,12 @@ from touchdown.app.review.timing import TOUCHING, PatchScore, TrialTimeline
 from touchdown.backend.core import Said, TrialFinished
 from touchdown.backend.geometry import Outline
 from touchdown.backend.runs import Bookmark
+from touchdown.widgets import views
 from touchdown.widgets.base import tr
 from touchdown.widgets.plots import NO_WRENCH
-from touchdown.widgets.views import (
-    NO_PROBES,
-    OUTCOME_WORDS,
-    BeliefScene,
-    DecisionText,
-    TimeMark,
-    TimeScene,
-    caption_of,
-    decision_text,
-    latest,
-)
 
-NO_RECORDING = DecisionText("No recording chosen", "", "", "Choose one in the list.")
-NO_READING = DecisionText("No estimate", "", "", "No model evaluated a probe here.")
+NO_RECORDING = views.DecisionText("No recording chosen", "", "", "Choose one in the list.")
+NO_READING = views.DecisionText("No estimate", "", "", "No model evaluated a probe here.")
 NO_MAP = ("No belief map", "No model evaluated a probe here.")
 TOUCH_S = 0.005  # farthest bookmark from the cursor that counts as the one at it
 ONE_PROBE = ("No belief map", "A belief map needs a stacking run; this is a single probe.")
@@ -111,9 +101,9 @@ class ReplayPresenter:
 
     def _draw_time(self) -> None:
         marks = () if self.trial is None else self.trial.marks()
-        notes = tuple(TimeMark(m.t_s, m.note, strong=True, note=True) for m in self.bookmarks)
+        notes = tuple(views.TimeMark(m.t_s, m.note, strong=True, note=True) for m in self.bookmarks)
         both = tuple(sorted((*marks, *notes), key=lambda mark: mark.t_s))
-        self._page.time_line.show_scene(TimeScene(self.span_s, self.recorded.spans_s, both))
+        self._page.time_line.show_scene(views.TimeScene(self.span_s, self.recorded.spans_s, both))
 
     def take(self, recorded: TrialRecording) -> None:
         """Add the signals of the trial; the cursor stays if it is inside them."""
@@ -135,7 +125,7 @@ class ReplayPresenter:
         page.show_cursor(self.cursor_s)
         if self.trial is None:
             page.film.show_none()
-        at = latest(self._said_s, self.cursor_s)
+        at = views.latest(self._said_s, self.cursor_s)
         page.story.setCurrentRow(at)
         if at < 0:
             page.story.scrollToTop()
@@ -173,10 +163,12 @@ class ReplayPresenter:
         whole, self._known = self._whole, -1
         if whole is None or not whole.probes or self._single:
             ended = whole is not None and whole.finished is not None
-            self._page.strip.show_probes([], -1, NO_PROBES if ended else ("", ""))
+            self._page.strip.show_probes([], -1, views.NO_PROBES if ended else ("", ""))
             return
         scenes = [self._scene(whole, i) for i in range(len(whole.probes))]
-        captions = [caption_of(p.probe, p.stability) + self._iou(p.probe) for p in whole.probes]
+        captions = [
+            views.caption_of(p.probe, p.stability) + self._iou(p.probe) for p in whole.probes
+        ]
         self._page.strip.show_probes(list(zip(scenes, captions, strict=True)), len(scenes) - 1)
 
     def _iou(self, probe: int) -> str:
@@ -186,7 +178,7 @@ class ReplayPresenter:
         score = self.trial.score(self.trial.decided_s(probe), self._faces[1])
         return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
 
-    def _scene(self, story: shell.TrialStory, index: int) -> BeliefScene:
+    def _scene(self, story: shell.TrialStory, index: int) -> views.BeliefScene:
         scene = shell.belief_scene(story, index, *self._faces)
         if scene.truth is None and self._whole is not None:
             truth = shell.true_patch_outline(self._whole, story.probes[index], *self._faces)
@@ -210,7 +202,7 @@ class ReplayPresenter:
         scene, look = self._scene(story, index), story.probes[index]
         page.belief.show_scene(scene)
         page.legend.show_truth(scene.truth is not None)
-        text = decision_text(look.stability, look.action)
+        text = views.decision_text(look.stability, look.action)
         if story.finished is not None:
             text = shell.outcome_text(story, trial.head)
         page.decision.show_text(text)
@@ -223,19 +215,19 @@ class ReplayPresenter:
         patch = trial.patch(self.cursor_s)
         assert patch is not None
         share = float(np.mean(patch.patch.probability > TOUCHING))
-        self._page.belief.show_scene(BeliefScene(empty=ONE_PROBE))
+        self._page.belief.show_scene(views.BeliefScene(empty=ONE_PROBE))
         said = tr("Contact on {:.0f} % of the face.", 100 * share)
-        self._page.decision.show_text(DecisionText("Single probe", "", "", said))
+        self._page.decision.show_text(views.DecisionText("Single probe", "", "", said))
 
     def _show_no_probe(self, story: shell.TrialStory | None) -> None:
         page, whole = self._page, self._whole
         if whole is None:
-            scene, text = BeliefScene(empty=("", "")), NO_RECORDING
+            scene, text = views.BeliefScene(empty=("", "")), NO_RECORDING
         elif whole.probes or whole.finished is not None:
-            scene = BeliefScene() if whole.probes else shell.unprobed_scene(whole)
-            text = DecisionText("No probe", "", "", _ending(story))
+            scene = views.BeliefScene() if whole.probes else shell.unprobed_scene(whole)
+            text = views.DecisionText("No probe", "", "", _ending(story))
         else:
-            scene, text = BeliefScene(empty=NO_MAP), NO_READING
+            scene, text = views.BeliefScene(empty=NO_MAP), NO_READING
         page.belief.show_scene(scene)
         page.belief_panel.detail.setText("")
         page.estimate.setText("")
@@ -247,7 +239,7 @@ def _line(event: object) -> str:
     if isinstance(event, Said):
         return event.text
     if isinstance(event, TrialFinished):
-        return f"{tr(OUTCOME_WORDS[event.outcome]).capitalize()}: {event.reason}"
+        return f"{tr(views.OUTCOME_WORDS[event.outcome]).capitalize()}: {event.reason}"
     return ""
 
 

@@ -8,21 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from touchdown.app.shell import RunStory, TrialStory
+from touchdown.backend import core
 from touchdown.backend.annotations import patch_iou
-from touchdown.backend.core import (
-    ActionChosen,
-    BeliefUpdated,
-    ContactPatch,
-    EpisodeRecorded,
-    Event,
-    FloatArray,
-    PatchEstimated,
-    PhaseEntered,
-    Released,
-    RunStarted,
-    TrialFinished,
-    TrialStarted,
-)
 from touchdown.backend.geometry import Outline
 from touchdown.widgets.base import tr
 from touchdown.widgets.views import TimeMark
@@ -43,22 +30,22 @@ class PatchScore:
 class TrialTimeline:
     """Events of one trial with the ``head`` of its run. The bench clock starts with each trial."""
 
-    head: RunStarted
-    events: tuple[Event, ...]
+    head: core.RunStarted
+    events: tuple[core.Event, ...]
 
     def numbered(self, number: int) -> TrialTimeline:
         """Return the trial with its number."""
         first, *others = self.events
-        if isinstance(first, TrialStarted):
+        if isinstance(first, core.TrialStarted):
             first = replace(first, trial=number)
         return TrialTimeline(self.head, (first, *others))
 
     @property
-    def times_s(self) -> FloatArray:
+    def times_s(self) -> core.FloatArray:
         """(n,) times of the events, never decreasing."""
         return np.maximum.accumulate(np.array([f.t_s for f in self.events], dtype=np.float64))
 
-    def known(self, cursor_s: float) -> tuple[Event, ...]:
+    def known(self, cursor_s: float) -> tuple[core.Event, ...]:
         """Return the events not later than the cursor."""
         return self.events[: int(np.searchsorted(self.times_s, cursor_s + 1e-9, side="right"))]
 
@@ -71,18 +58,18 @@ class TrialTimeline:
         assert story.trial is not None
         return story.trial
 
-    def patch(self, cursor_s: float) -> PatchEstimated | None:
+    def patch(self, cursor_s: float) -> core.PatchEstimated | None:
         """Return the newest patch not later than the cursor."""
-        found = [f for f in self.known(cursor_s) if isinstance(f, PatchEstimated)]
+        found = [f for f in self.known(cursor_s) if isinstance(f, core.PatchEstimated)]
         return found[-1] if found else None
 
-    def episodes(self) -> list[EpisodeRecorded]:
+    def episodes(self) -> list[core.EpisodeRecorded]:
         """Return the episodes of the trial in order."""
-        return [f for f in self.events if isinstance(f, EpisodeRecorded)]
+        return [f for f in self.events if isinstance(f, core.EpisodeRecorded)]
 
     def decided_s(self, probe: int) -> float:
         """Return the time of the last event of a probe, or the end of the trial."""
-        known = (PatchEstimated, BeliefUpdated, ActionChosen)
+        known = (core.PatchEstimated, core.BeliefUpdated, core.ActionChosen)
         times = [f.t_s for f in self.events if isinstance(f, known) and f.probe == probe]
         return max(times) if times else float(self.times_s[-1])
 
@@ -90,17 +77,17 @@ class TrialTimeline:
         """Return the marks of the time line: probes, decisions, release and outcome."""
         marks: list[TimeMark] = []
         for event in self.events:
-            if isinstance(event, PhaseEntered):
+            if isinstance(event, core.PhaseEntered):
                 press = event.phase == "press"
                 word = tr("probe {}", event.probe) if press else tr(event.phase)
                 marks.append(TimeMark(event.t_s, word, press))
-            elif isinstance(event, ActionChosen):
+            elif isinstance(event, core.ActionChosen):
                 marks.append(
                     TimeMark(event.t_s, tr(event.action.kind.replace("_", " ")), strong=True)
                 )
-            elif isinstance(event, Released):
+            elif isinstance(event, core.Released):
                 marks.append(TimeMark(event.t_s, tr("released"), strong=True))
-            elif isinstance(event, TrialFinished):
+            elif isinstance(event, core.TrialFinished):
                 outcome = event.outcome.name.lower().replace("_", " ")
                 marks.append(TimeMark(event.t_s, tr(outcome), strong=True))
         return tuple(marks)
@@ -116,7 +103,7 @@ class TrialTimeline:
 
 def patch_score(
     probe: int,
-    patch: ContactPatch,
+    patch: core.ContactPatch,
     offset_mm: tuple[float, float],
     shift_mm: tuple[float, float],
     bottom: Outline,
@@ -127,19 +114,19 @@ def patch_score(
     return PatchScore(probe, patch_iou(said, real), float(np.mean(said == real)))
 
 
-def split_into_trials(events: Iterable[Event]) -> list[TrialTimeline]:
+def split_into_trials(events: Iterable[core.Event]) -> list[TrialTimeline]:
     """Split the events of a run into its trials. Events before the first trial are dropped.
 
     A single probe is returned as a trial.
     """
-    head: RunStarted | None = None
-    parts: list[list[Event]] = []
+    head: core.RunStarted | None = None
+    parts: list[list[core.Event]] = []
     for event in events:
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             head = event
             if event.activity == "probe":
-                parts.append([TrialStarted(event.t_s, 1, event.seed, None)])
-        elif isinstance(event, TrialStarted):
+                parts.append([core.TrialStarted(event.t_s, 1, event.seed, None)])
+        elif isinstance(event, core.TrialStarted):
             parts.append([event])
         elif parts:
             parts[-1].append(event)

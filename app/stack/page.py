@@ -7,19 +7,10 @@ from PySide6.QtWidgets import QSizePolicy, QVBoxLayout
 
 from touchdown.app.shell import LivePage, column_of, limit_height
 from touchdown.backend.core import FINGERS
+from touchdown.widgets import views
 from touchdown.widgets.base import Columns, Panel, Theme, flat_button, hbox, tr
 from touchdown.widgets.forms import RunPanel
 from touchdown.widgets.plots import TracesPanel
-from touchdown.widgets.views import (
-    BeliefPanel,
-    DecisionPanel,
-    DecisionText,
-    ProbeStrip,
-    ScorePanel,
-    SideView,
-    TrialPanel,
-    TrialPrompt,
-)
 
 TRACES, SIDE = "Force and moment", "Bench from the side"  # SIDE: as recorded in layouts
 BELIEF_PX, GAPS_PX = 140, 32  # least height of the map; gaps around and in a column
@@ -34,21 +25,21 @@ class StackPage(LivePage):
         super().__init__(theme)
         self.captions = {f: Panel(tr("Tactile {}", f[0].upper()), self.tactile[f]) for f in FINGERS}
         self.traces_panel = TracesPanel("Force and moment at the wrist", self.force, self.moment)
-        self.decision = DecisionPanel()
-        self.trial = TrialPanel(theme)
-        self.strip = ProbeStrip(theme, self.probe_chosen.emit)
-        self.belief_panel = BeliefPanel(theme, "Belief map", self.strip)
+        self.decision = views.DecisionPanel()
+        self.trial = views.TrialPanel(theme)
+        self.strip = views.ProbeStrip(theme, self.probe_chosen.emit)
+        self.belief_panel = views.BeliefPanel(theme, "Belief map", self.strip)
         self.belief, self.legend = self.belief_panel.view, self.belief_panel.legend
         self.belief.setMinimumHeight(BELIEF_PX)
         self.run = RunPanel(theme)
-        self.score = ScorePanel(theme)
+        self.score = views.ScorePanel(theme)
         self.add_piece = flat_button("Add piece", "Add a piece from a CAD file")
         self.run.header.addWidget(self.add_piece)
         self.bookmark = flat_button("Bookmark", "Note on this moment of the run (B)")
         self.traces_panel.header.addWidget(self.bookmark)
         self.compare = flat_button("Compare", "Compare the strategies on the same seed (Ctrl+D)")
         self.score.header.addWidget(self.compare)
-        self.side = SideView(theme)
+        self.side = views.SideView(theme)
         self.side_panel = Panel("Bench to scale", self.side)
         self._arrange()
 
@@ -59,13 +50,13 @@ class StackPage(LivePage):
     def show_waiting(self, result: str, why: str) -> None:
         """Show why there are no data yet."""
         self.show_silent(why)
-        self.decision.show_text(DecisionText(result, "", "", why))
+        self.decision.show_text(views.DecisionText(result, "", "", why))
 
-    def show_trial(self, look: TrialPrompt | None) -> None:
+    def show_trial(self, look: views.TrialPrompt | None) -> None:
         """Show a question to the operator; its picture replaces the belief map."""
         self.trial.show_look(look)
         if look is not None and look.yes:
-            self.decision.show_text(DecisionText("Your turn", "", "", f"{tr(look.title)}."))
+            self.decision.show_text(views.DecisionText("Your turn", "", "", f"{tr(look.title)}."))
         pictured = look is not None and look.scene is not None
         high = QSizePolicy.Policy.Expanding if pictured else QSizePolicy.Policy.Fixed
         self.trial.setSizePolicy(QSizePolicy.Policy.Preferred, high)

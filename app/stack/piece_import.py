@@ -14,19 +14,8 @@ from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
+from touchdown.backend import geometry
 from touchdown.backend.core import InputError
-from touchdown.backend.geometry import (
-    PICTURE_PX,
-    PIECE_SOURCES,
-    UNITS_MM,
-    MeasuredPiece,
-    PieceEnd,
-    PieceImport,
-    measure_piece,
-    piece_name,
-    piece_svg,
-    save_piece,
-)
 from touchdown.widgets.base import Theme, hbox, label, set_property, tr
 from touchdown.widgets.forms import FormFields, decimal_box, set_entries
 from touchdown.widgets.plots import PictureView
@@ -34,9 +23,9 @@ from touchdown.widgets.plots import PictureView
 MEASURE_AFTER_MS = 300  # pause after an edit before the file is measured again
 ROLES = (("top", "is grasped"), ("bottom", "is stacked upon"), ("both", "both"))
 COMS = (("", "automatic"), ("uniform", "uniform density"), ("unknown", "unknown, weighed"))
-UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in UNITS_MM))
+UNITS = (("", "as in the file, or mm"), *((unit, unit) for unit in geometry.UNITS_MM))
 DRAWN = "drawing"  # face of a file that holds only an outline
-FACES = (*((end, end) for end in get_args(PieceEnd)), (DRAWN, "drawn outline"))
+FACES = (*((end, end) for end in get_args(geometry.PieceEnd)), (DRAWN, "drawn outline"))
 NO_FILE = "Choose a mesh (STL, OBJ, PLY, OFF) or an outline (SVG, DXF), or drop one here."
 
 
@@ -45,9 +34,9 @@ class PiecePicture(PictureView):
 
     def __init__(self, theme: Theme) -> None:
         super().__init__(theme, "Picture of the piece", (220, 220), (300, 300))
-        self._piece: MeasuredPiece | None = None
+        self._piece: geometry.MeasuredPiece | None = None
 
-    def show_piece(self, piece: MeasuredPiece | None) -> None:
+    def show_piece(self, piece: geometry.MeasuredPiece | None) -> None:
         """Show a piece, or nothing."""
         self._piece = piece
         self.update()
@@ -58,8 +47,8 @@ class PiecePicture(PictureView):
         if self._piece is None:
             return
         tokens = self._theme.tokens
-        letter_px = 0.7 * self.fontMetrics().height() * PICTURE_PX / max(self.width(), 1)
-        text = piece_svg(self._piece, "", tokens.text, tokens.bg, letter_px)
+        letter_px = 0.7 * self.fontMetrics().height() * geometry.PICTURE_PX / max(self.width(), 1)
+        text = geometry.piece_svg(self._piece, "", tokens.text, tokens.bg, letter_px)
         svg = QSvgRenderer(text.encode())
         size = svg.viewBoxF().size()
         share = min(self.width() / size.width(), self.height() / size.height())
@@ -78,7 +67,7 @@ class PieceSheet(BenchSheet):
         super().__init__(parent, "Add a piece")
         self._added = added
         self._path: Path | None = None
-        self._measured: MeasuredPiece | None = None
+        self._measured: geometry.MeasuredPiece | None = None
         self._worker = SaveWorker(self, "piece-import")
         self._asked = 0  # number of the newest measurement
         self._delay = QTimer(self, interval=MEASURE_AFTER_MS, singleShot=True)
@@ -105,7 +94,7 @@ class PieceSheet(BenchSheet):
             box.valueChanged.connect(self._delay.start)
         self.choose.clicked.connect(self._ask_file)
         self.add.clicked.connect(self._save)
-        FileDrop(self, PIECE_SOURCES, self.take)
+        FileDrop(self, geometry.PIECE_SOURCES, self.take)
         self._arrange()
         self._show(None, "")
 
@@ -114,7 +103,7 @@ class PieceSheet(BenchSheet):
         self._path = path
         self.file.setText(path.name)
         self.file.setToolTip(str(path))
-        self.name.setText(piece_name(path))
+        self.name.setText(geometry.piece_name(path))
         drawn = path.suffix.lower() in (".svg", ".dxf")
         if drawn is not (self.face.currentData() == DRAWN):
             self.face.setCurrentIndex(self.face.findData(DRAWN if drawn else "bottom"))
@@ -128,7 +117,7 @@ class PieceSheet(BenchSheet):
             return
         self._asked += 1
         self._show(None, "Measuring\N{HORIZONTAL ELLIPSIS}")
-        work = partial(measure_piece, self._path, self._wanted())
+        work = partial(geometry.measure_piece, self._path, self._wanted())
         self._submit(work, partial(self._measurement, self._asked))
 
     def close_worker(self) -> None:
@@ -166,10 +155,10 @@ class PieceSheet(BenchSheet):
         self.said.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.resize_to_em(46, 36)
 
-    def _wanted(self) -> PieceImport:
+    def _wanted(self) -> geometry.PieceImport:
         drawn, mass = self.face.currentData() == DRAWN, self.mass_g.value() or None
         role = self.role.currentData()
-        return PieceImport(
+        return geometry.PieceImport(
             end=None if drawn else self.face.currentData(),
             role=role,
             unit=self.units.currentData() or None,
@@ -181,7 +170,7 @@ class PieceSheet(BenchSheet):
         )
 
     def _ask_file(self) -> None:
-        kinds = " ".join(f"*{kind}" for kind in PIECE_SOURCES)
+        kinds = " ".join(f"*{kind}" for kind in geometry.PIECE_SOURCES)
         start = None if self._path is None else self._path.parent
         names = f"{tr('CAD files')} ({kinds})"
         ask_path(self, "CAD file of the piece", self.take, start=start, names=names)
@@ -190,7 +179,7 @@ class PieceSheet(BenchSheet):
         self._worker.submit(work, done, partial(self._failed, self._asked))
 
     def _measurement(self, number: int, measured: object) -> None:
-        if number == self._asked and isinstance(measured, MeasuredPiece):
+        if number == self._asked and isinstance(measured, geometry.MeasuredPiece):
             x, y, z = measured.com_mm
             found = "Face {:.1f} mm², height {:.2f} mm, volume {:.2f} cm³, mass {:.1f} g."
             sizes = measured.face.area, measured.height_mm, 1e-3 * measured.volume_mm3
@@ -207,7 +196,9 @@ class PieceSheet(BenchSheet):
             words = words.replace("--units", "the unit").replace("--", "")
             self._show(None, words, bad=True)
 
-    def _show(self, measured: MeasuredPiece | None, words: str, *, bad: bool = False) -> None:
+    def _show(
+        self, measured: geometry.MeasuredPiece | None, words: str, *, bad: bool = False
+    ) -> None:
         self._measured = measured
         self.add.setEnabled(measured is not None)
         self.picture.show_piece(measured)
@@ -217,7 +208,7 @@ class PieceSheet(BenchSheet):
     def _save(self) -> None:
         name = self.name.text().strip()
         if self._measured is not None:
-            work = partial(save_piece, self._measured, name)
+            work = partial(geometry.save_piece, self._measured, name)
             self._submit(work, lambda _: self._saved(name))
 
     def _saved(self, name: str) -> None:

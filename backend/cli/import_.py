@@ -6,21 +6,10 @@ import argparse
 import getpass
 from pathlib import Path
 
-from touchdown.backend import experiments
+from touchdown.backend import exchange, experiments
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.core import InputError, Recording, write_atomically
-from touchdown.backend.exchange import (
-    EpisodeImport,
-    ImportOptions,
-    import_labels,
-    press_curves,
-    propose_mapping,
-    read_coco,
-    read_csv,
-    read_manifest,
-    recording_contents,
-)
 from touchdown.backend.runs import dataset_folder
 
 EPISODES = ("lerobot", "mcap")
@@ -66,7 +55,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.map is not None and args.format not in EPISODES:
         raise InputError(f"{args.format} needs no mapping file.", "--map", "Remove it.")
     if args.map is not None and not args.map.exists():
-        text = propose_mapping(recording_contents(args.source))
+        text = exchange.propose_mapping(exchange.recording_contents(args.source))
         write_atomically(args.map, text.encode("utf-8"))
         screen.say(f"A mapping to correct is in {args.map}. Then repeat the command.")
         return 1
@@ -85,8 +74,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 
 
 def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: VerbOutput) -> int:
-    wish = ImportOptions(actor, args.person, args.piece, args.bottom, args.map)
-    wanted = EpisodeImport(dataset, args.format, args.source, wish)
+    wish = exchange.ImportOptions(actor, args.person, args.piece, args.bottom, args.map)
+    wanted = exchange.EpisodeImport(dataset, args.format, args.source, wish)
     with screen.progress("Reading", wanted.total) as advance:
         survey = wanted.survey(advance)
     screen.say(f"{survey.found} episodes found, {survey.here} of them are present already.")
@@ -123,7 +112,7 @@ def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> s
     """Return an HTML page of the signals of one press, and what contradicts the mapping."""
     assert press is not None
     pictures = []
-    for title, unit, axes, t_s, rows in press_curves(press):
+    for title, unit, axes, t_s, rows in exchange.press_curves(press):
         curves = dict(zip(axes, rows.T, strict=True))
         svg = experiments.curves_chart(title, t_s, curves, ("s", unit))
         pictures.append(experiments.ReportPicture(svg))
@@ -139,10 +128,10 @@ def _preview(press: Recording | None, name: str, findings: tuple[str, ...]) -> s
 
 def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> int:
     if args.source.is_dir():
-        read_manifest(args.source)
-    read = read_coco if args.format == "coco" else read_csv
+        exchange.read_manifest(args.source)
+    read = exchange.read_coco if args.format == "coco" else exchange.read_csv
     rows = read(args.source, dataset)
-    done = import_labels(dataset, rows, args.person, args.source.name, check=args.check)
+    done = exchange.import_labels(dataset, rows, args.person, args.source.name, check=args.check)
     would = "would change" if args.check else "changed"
     screen.say(f"{done.changed} labels {would}, {done.unchanged} are the same.")
     for uuid, why in done.refused:

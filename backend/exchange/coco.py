@@ -13,17 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import episodes
+from touchdown.backend import core, episodes
 from touchdown.backend.annotations import Dataset, Label, Pair, content_hash, patch_iou
-from touchdown.backend.core import (
-    FINGERS,
-    MARKERS,
-    Finger,
-    FloatArray,
-    ImageArray,
-    InputError,
-    parse_json,
-)
 from touchdown.backend.exchange.exports import ExportJob
 from touchdown.backend.exchange.label_import import ImportedLabel, label_file
 from touchdown.backend.exchange.query import SelectedEpisode
@@ -88,7 +79,7 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
         {"id": FACE, "name": "face", "supercategory": "outline"},
         {"id": BOTTOM, "name": "bottom", "supercategory": "outline"},
         {"id": GEL, "name": "gel", "supercategory": "sensor", "skeleton": [],
-         "keypoints": [f"marker{k:02d}" for k in range(MARKERS)]},
+         "keypoints": [f"marker{k:02d}" for k in range(core.MARKERS)]},
     ]  # fmt: skip
     content = {"info": info, "images": images, "annotations": annotations, "categories": categories}
     (folder / FILE).write_text(json.dumps(content, ensure_ascii=False), "utf-8")
@@ -102,11 +93,11 @@ class Canvas:
     board: Homography
     size: tuple[int, int]
 
-    def px(self, points_mm: FloatArray) -> FloatArray:
+    def px(self, points_mm: core.FloatArray) -> core.FloatArray:
         """Return points (n, 2) of the bottom frame in px."""
         return np.asarray(np.round(self.board.to_px(points_mm), DECIMALS), dtype=np.float64)
 
-    def save(self, path: Path, pair: Pair, picture: ImageArray | None) -> None:
+    def save(self, path: Path, pair: Pair, picture: core.ImageArray | None) -> None:
         """Write ``picture``, or a drawing of the outline of the bottom."""
         if picture is None:
             picture = np.full(self.size[::-1], PAPER, dtype=np.uint8)
@@ -131,10 +122,10 @@ def _drawn(px_per_mm: float, origin_px: Sequence[float]) -> Homography:
     return Homography(matrix, 0.0)
 
 
-def _scene(contents: episodes.ChunkContents) -> tuple[Canvas, ImageArray] | None:
+def _scene(contents: episodes.ChunkContents) -> tuple[Canvas, core.ImageArray] | None:
     """Return canvas and picture of the scene camera while pressed, None without them."""
     messages = contents.messages.get(episodes.SCENE_TOPIC.name)
-    pairs = dict(parse_json(contents.metadata["pairs"]["items"])) if messages else {}
+    pairs = dict(core.parse_json(contents.metadata["pairs"]["items"])) if messages else {}
     if not messages or episodes.HOMOGRAPHY_KEY not in pairs:
         return None
     picture = episodes.decode_image(episodes.unpack_image(messages[0])[1])
@@ -144,10 +135,10 @@ def _scene(contents: episodes.ChunkContents) -> tuple[Canvas, ImageArray] | None
 
 def _tactile(
     contents: episodes.ChunkContents,
-) -> dict[Finger, tuple[str, bytes, dict[str, object]]]:
+) -> dict[core.Finger, tuple[str, bytes, dict[str, object]]]:
     """Return the encoded picture of each finger nearest to the last tick, and its markers."""
-    found: dict[Finger, tuple[str, bytes, dict[str, object]]] = {}
-    for finger in FINGERS:
+    found: dict[core.Finger, tuple[str, bytes, dict[str, object]]] = {}
+    for finger in core.FINGERS:
         images = contents.messages.get(episodes.IMAGE_TOPICS[finger].name)
         fields = contents.messages.get(episodes.MARKER_TOPICS[finger].name)
         if images and fields:
@@ -192,7 +183,7 @@ def _annotations(one: SelectedEpisode, pair: Pair, canvas: Canvas) -> Annotation
     return found
 
 
-def _shape(rings_px: list[FloatArray], size: tuple[int, int]) -> dict[str, object]:
+def _shape(rings_px: list[core.FloatArray], size: tuple[int, int]) -> dict[str, object]:
     """Return segmentation, box and area of the rings.
 
     The format has no holes in polygons: a patch with holes is run-length encoded.
@@ -213,7 +204,7 @@ def _shape(rings_px: list[FloatArray], size: tuple[int, int]) -> dict[str, objec
     }
 
 
-def _runs(rings_px: list[FloatArray], size: tuple[int, int]) -> list[int]:
+def _runs(rings_px: list[core.FloatArray], size: tuple[int, int]) -> list[int]:
     """Return the run lengths, column by column, of the pixels whose centres are inside.
 
     The first run is outside. Inside is by the odd-even rule.
@@ -236,7 +227,7 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
     """
     path = label_file(source, FILE)
     try:
-        content = parse_json(path.read_bytes())
+        content = core.parse_json(path.read_bytes())
         info, images = content["info"], {image["id"]: image for image in content["images"]}
         for annotation in content["annotations"]:
             if annotation["category_id"] != CONTACT:
@@ -249,7 +240,7 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
             yield _row(annotation, image, board, dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError, cv2.error) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
-        raise InputError(
+        raise core.InputError(
             f"The annotations cannot be read: {why}.", str(path), "Export them again."
         ) from error
 
@@ -280,7 +271,7 @@ def _row(
     return ImportedLabel(str(image["episode"]), str(image.get("file_sha256", "")), label, warning)
 
 
-def _iou(segmentation: Any, points_px: FloatArray, touching: NDArray[np.bool_]) -> float:
+def _iou(segmentation: Any, points_px: core.FloatArray, touching: NDArray[np.bool_]) -> float:
     """Return the overlap of the points (n, 2) within a drawn patch with the derived one (n,).
 
     Rounding of the corners moves the edge by up to a pixel, so points near it are not compared.

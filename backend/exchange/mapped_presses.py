@@ -15,19 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core
 from touchdown.backend.config import TICK_S
-from touchdown.backend.core import (
-    FINGERS,
-    MARKERS,
-    TACTILE_CHANNELS,
-    FloatArray,
-    MarkerField,
-    OnsetRule,
-    Recording,
-    back_date_onset,
-    detect_contact,
-    force_over_baseline,
-)
 from touchdown.backend.exchange import features
 from touchdown.backend.exchange.features import ForeignEpisode
 from touchdown.backend.exchange.mapping import (
@@ -51,7 +40,7 @@ NUMBERS = 256  # presses an episode
 def find_presses(values: Mapping[str, NDArray[Any]]) -> list[float]:
     """Return the times of contact in one recording."""
     t_s, wrench = values["wrench.t_s"], values["wrench"]
-    rule = OnsetRule(rate_hz=min(1.0 / max(float(np.median(np.diff(t_s))), 1e-3), 1e3))
+    rule = core.OnsetRule(rate_hz=min(1.0 / max(float(np.median(np.diff(t_s))), 1e-3), 1e3))
     # The force before the start counts as that at the start: a press may follow soon.
     grid = np.arange(t_s[0] - rule.lead / rule.rate_hz, t_s[-1], 1.0 / rule.rate_hz)
     force = np.stack([np.interp(grid, t_s, wrench[:, k]) for k in range(3)])
@@ -60,13 +49,13 @@ def find_presses(values: Mapping[str, NDArray[Any]]) -> list[float]:
     noise_n = 1.05 * float(np.median(np.abs(np.diff(force)), axis=1).max())
     least_n = max(rule.threshold_n, NOISES * noise_n)
     rule = replace(rule, threshold_n=least_n, rise_n=0.3 * least_n)
-    over = np.linalg.norm(force_over_baseline(force, rule), axis=0)[None]
+    over = np.linalg.norm(core.force_over_baseline(force, rule), axis=0)[None]
     begin, found = 0, list[float]()
     while begin + rule.lead < len(grid):
-        at = detect_contact(over[:, begin:], rule)
+        at = core.detect_contact(over[:, begin:], rule)
         if at[0] < 0:
             break
-        onset_s = back_date_onset(grid[begin:], over[:, begin:], at, rule)[0]
+        onset_s = core.back_date_onset(grid[begin:], over[:, begin:], at, rule)[0]
         contact = begin + int(at[0])
         air = force[:, max(contact - rule.lead, 0) : contact - rule.lead // 2].mean(axis=1)
         away = np.linalg.norm(force[:, contact:] - air[:, None], axis=0) < least_n
@@ -86,19 +75,19 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
     def rows(name: str, start_s: float = 0.0, end_s: float = LENGTH_S) -> NDArray[np.intp]:
         return np.flatnonzero((t_s[name] >= start_s) & (t_s[name] <= end_s))
 
-    def in_air(name: str) -> FloatArray:
+    def in_air(name: str) -> core.FloatArray:
         air = values[name][rows(name, *AIR_S)]
         return np.asarray(air.mean(axis=0) if len(air) else np.full(air.shape[1:], np.nan))
 
     fields = []
-    for finger in FINGERS:
+    for finger in core.FINGERS:
         rest = in_air(finger)
         for row in rows(finger):
             place, state = values[finger][row].copy(), values[f"{finger}.state"][row].copy()
             at_s = float(t_s[finger][row])
-            fields.append(MarkerField(finger, int(row), at_s, place, place - rest, state, 1.0))
+            fields.append(core.MarkerField(finger, int(row), at_s, place, place - rest, state, 1.0))
     tare = in_air("wrench")
-    recording = Recording(
+    recording = core.Recording(
         wrench_t_s=t_s["wrench"][rows("wrench")],
         wrench=values["wrench"][rows("wrench")] - tare,
         fields=tuple(sorted(fields, key=lambda field: field.t_s)),
@@ -110,7 +99,7 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
     origin_mm = mapping.pose.origin_mm
     offset_mm = _pose_mm(recording, CONTACT_S)[:2] - (origin_mm or (0.0, 0.0))
     found = assemble_episode(recording, onset_s=CONTACT_S, offset_mm=offset_mm, piece="")
-    tactile, wrench = np.split(found.observation, [TACTILE_CHANNELS], axis=1)
+    tactile, wrench = np.split(found.observation, [core.TACTILE_CHANNELS], axis=1)
     observed: dict[str, NDArray[Any]] = {features.MARKERS: tactile, features.FT: wrench}
     observed |= {} if origin_mm is None else {features.OFFSET: offset_mm}
     index = NUMBERS * episode.index + number
@@ -118,10 +107,10 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
 
 
 # Title, unit and axes of one signal of a press, times (n,) from the contact, values (n, axes).
-PressCurves = tuple[str, str, str, FloatArray, FloatArray]
+PressCurves = tuple[str, str, str, core.FloatArray, core.FloatArray]
 
 
-def press_curves(press: Recording) -> tuple[PressCurves, ...]:
+def press_curves(press: core.Recording) -> tuple[PressCurves, ...]:
     """Return force, moment, travel of the hand, and mean markers of each finger, for a preview."""
     hand_mm = press.pose_mm - press.pose_mm[press.pose_t_s >= CONTACT_S][:1].sum(axis=0)
     wrench_t_s = press.wrench_t_s - CONTACT_S
@@ -130,7 +119,7 @@ def press_curves(press: Recording) -> tuple[PressCurves, ...]:
         ("Moment", "N m", "xyz", wrench_t_s, press.wrench[:, 3:]),
         ("Hand from contact", "mm", "xyz", press.pose_t_s - CONTACT_S, hand_mm),
     ]
-    for finger in FINGERS:
+    for finger in core.FINGERS:
         own = [field for field in press.fields if field.finger == finger]
         mean = np.array([field.displacement_px.mean(axis=0) for field in own]).reshape(-1, 2)
         t_s = np.array([field.t_s for field in own]) - CONTACT_S
@@ -138,12 +127,12 @@ def press_curves(press: Recording) -> tuple[PressCurves, ...]:
     return tuple(one for one in found if np.isfinite(one[-1]).any())
 
 
-def _pose_mm(recording: Recording, at_s: float) -> FloatArray:
+def _pose_mm(recording: core.Recording, at_s: float) -> core.FloatArray:
     t_s, mm = recording.pose_t_s, recording.pose_mm.T
     return np.array([np.interp(at_s, t_s, axis) if len(t_s) else np.nan for axis in mm])
 
 
-def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
+def measure_press(press: ForeignEpisode) -> dict[str, core.FloatArray]:
     """Return the changes from air to the end of a press; NaN where a signal has no samples.
 
     ``wrench`` (6,), and ``weight`` (6,) in air; ``pose`` (3,) in mm from contact. Of the fingers:
@@ -152,7 +141,7 @@ def measure_press(press: ForeignEpisode) -> dict[str, FloatArray]:
     """
     r, wrench = press.recording, press.values[features.FT]
     assert r is not None
-    markers = press.values[features.MARKERS].reshape(-1, len(FINGERS), 2, MARKERS)
+    markers = press.values[features.MARKERS].reshape(-1, len(core.FINGERS), 2, core.MARKERS)
     held, (u, v) = markers[HELD].mean(axis=0), (NOMINAL_PX - NOMINAL_PX.mean(axis=0)).T
     force, moved = np.linalg.norm(wrench[:, :3], axis=1), np.linalg.norm(markers.mean(-1), axis=2)
     tick_s = TICK_S * np.arange(1, len(wrench) + 1)
@@ -189,7 +178,7 @@ class Contradiction(NamedTuple):
         return f"{self.text} Try {' and '.join(tried)}." if tried else self.text
 
 
-def contradictions(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMapping
+def contradictions(presses: Sequence[Mapping[str, core.FloatArray]], mapping: ImportMapping
                    ) -> list[Contradiction]:  # fmt: skip
     """Return what contradicts the mapping, from the medians over presses.
 
@@ -220,7 +209,9 @@ def _unit(signal: str, name: str, own: str, factors: Mapping[str, float], ratio:
     return [] if best == own else [(signal, name, best)]
 
 
-def _axes(signal: str, own: Sequence[str], change: FloatArray, sign: float) -> list[MappingChange]:
+def _axes(
+    signal: str, own: Sequence[str], change: core.FloatArray, sign: float
+) -> list[MappingChange]:
     """Return the axes turned so that the largest ``change`` goes along z, with this sign."""
     at = int(np.abs(change).argmax())
     axes = [own[(at + k) % 3] for k in (1, 2, 3)]
@@ -229,7 +220,7 @@ def _axes(signal: str, own: Sequence[str], change: FloatArray, sign: float) -> l
     return [(signal, "axes", axes)]
 
 
-def _hand_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
+def _hand_checks(middle: Mapping[str, core.FloatArray], mapping: ImportMapping
                  ) -> Iterator[Contradiction]:  # fmt: skip
     wrench, weight, travel = middle["wrench"], middle["weight"], middle["pose"]
     own, pose, payload_kg = mapping.wrench, mapping.pose, mapping.wrench.payload_kg
@@ -271,9 +262,9 @@ def _hand_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
         yield Contradiction(text, _axes("pose", pose.axes, travel, -1.0))
 
 
-def _marker_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
+def _marker_checks(middle: Mapping[str, core.FloatArray], mapping: ImportMapping
                    ) -> Iterator[Contradiction]:  # fmt: skip
-    for finger, (u, v), lag_s in zip(FINGERS, middle["shift"], middle["lag"], strict=True):
+    for finger, (u, v), lag_s in zip(core.FINGERS, middle["shift"], middle["lag"], strict=True):
         own = getattr(mapping, finger)
         quarters = round(float(np.angle(complex(-v, -u))) / (0.5 * np.pi)) % 4  # left from up
         if not LEAST_PX <= np.hypot(u, v) <= MOST_PX:
@@ -294,7 +285,7 @@ def _marker_checks(middle: Mapping[str, FloatArray], mapping: ImportMapping
             yield Contradiction(text, [(finger, "time_offset_s", offset_s)])
 
 
-def _turn_checks(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMapping
+def _turn_checks(presses: Sequence[Mapping[str, core.FloatArray]], mapping: ImportMapping
                  ) -> Iterator[Contradiction]:  # fmt: skip
     """Compare the turn of the gels with the moment about y, which turns the piece in the grasp."""
     moment = np.array([press["wrench"][4] for press in presses])
@@ -305,6 +296,6 @@ def _turn_checks(presses: Sequence[Mapping[str, FloatArray]], mapping: ImportMap
         yield Contradiction("Both gels turn against the moment about y: 'left' and 'right' are "
                             "exchanged, or both need 'mirror'.")  # fmt: skip
         return
-    for finger in np.array(FINGERS)[against]:
+    for finger in np.array(core.FINGERS)[against]:
         text = f"The gel of '{finger}' turns against the moment about y: its 'mirror'."
         yield Contradiction(text, [(str(finger), "mirror", not getattr(mapping, finger).mirror)])

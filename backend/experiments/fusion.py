@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import geometry
 from touchdown.backend.config import (
     SimulationSettings,
     SurfaceSettings,
@@ -37,42 +38,14 @@ from touchdown.backend.episodes import TrainingRows
 from touchdown.backend.experiments.nuisances import bench_within
 from touchdown.backend.experiments.tables import job_code
 from touchdown.backend.experiments.trials import refused_presses
-from touchdown.backend.geometry import (
-    FLAT,
-    UNSEEN_BOTTOMS,
-    UNSEEN_PIECES,
-    Outline,
-    OutlineKinds,
-    Piece,
-    PieceLibrary,
-    ShapeFamily,
-    Tower,
-    draw_offset,
-    face_points,
-    load_pieces,
-)
 from touchdown.backend.jobs import SPEC_FILE, JobContext, JobSpec, JobStore
 from touchdown.backend.learning import (
     DeviceName,
     device_name,
+    fused,
     save_checkpoint,
     select_device,
     use_one_thread,
-)
-from touchdown.backend.learning.fused import (
-    MARGIN_REACH_MM,
-    SENSOR_MM,
-    TICKS,
-    FusedCard,
-    FusedTrainer,
-    FusedTraining,
-    GraspedFace,
-    acting_point_mm,
-    data_sha256,
-    join_networks,
-    load_fused,
-    one_network,
-    wrench_at_sensor,
 )
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, Scene, touched_margins_mm, true_com_xy_mm
@@ -95,14 +68,14 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     ``free``: the bottoms rock and slide, as in a trial; ``probes``: length of a sequence;
     ``surface``: shares of faces that are not flat, with pieces of any height of the centre of mass.
     """
-    p, catalogue = spec.params, load_pieces()
+    p, catalogue = spec.params, geometry.load_pieces()
     settings = parse_settings(SimulationSettings, p["bench"], "job")
     if "surface" in p:
         uneven = SurfaceSettings.model_validate(p["surface"])
         settings = settings.model_copy(update={"surface": uneven})
     use_one_thread()
     kinds = p.get("outlines", "convex")
-    family = ShapeFamily.of(catalogue, kinds)
+    family = geometry.ShapeFamily.of(catalogue, kinds)
     rng = np.random.default_rng([spec.seed, _DRAWS])
     parts = []
     for number in range(p["pieces"]):
@@ -113,7 +86,7 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         if "surface" in p:
             piece = replace(piece, com_height_mm=float(rng.uniform(*COM_HEIGHTS_MM)))
         scenes = [
-            Scene(piece, Tower((bottom,)), (0.0, 0.0), seed, settings)
+            Scene(piece, geometry.Tower((bottom,)), (0.0, 0.0), seed, settings)
             for bottom, seed in zip(bottoms, seeds, strict=True)
         ]
         part = simulate_sequences(scenes, rng, p["probes"])
@@ -144,9 +117,9 @@ def simulate_sequences(
     bench, limits, n = BatchedTrials(scenes), EpisodeLimits(), len(scenes)
     piece = scenes[0].piece
     anywhere = rng.random(n) < RANDOM_SEQUENCE_SHARE
-    lever = np.asarray(scenes[0].grip_height_mm + SENSOR_MM)
+    lever = np.asarray(scenes[0].grip_height_mm + fused.SENSOR_MM)
     offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
-    seen = np.zeros((n, probes, len(TICKS), CHANNELS), np.float32)
+    seen = np.zeros((n, probes, len(fused.TICKS), CHANNELS), np.float32)
     count = np.zeros(n, np.int64)
     for probe in range(probes):
         waiting = np.flatnonzero(count == probe)
@@ -154,17 +127,19 @@ def simulate_sequences(
             if not len(waiting):
                 break
             below = [scenes[k].surface for k in waiting.tolist()]
-            free = np.stack([draw_offset(rng, piece.face, outline, 1)[0] for outline in below])
+            free = np.stack(
+                [geometry.draw_offset(rng, piece.face, outline, 1)[0] for outline in below]
+            )
             goes = ~anywhere[waiting] & (probe > 0)
             wrench = seen[waiting, probe - 1, :, TACTILE_CHANNELS:]
-            acted = acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
+            acted = fused.acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
             wanted = next_places(offset[waiting, probe - 1], acted, rng)
             wanted = np.where(goes[:, None], wanted, free)
             press = bench.press(waiting.tolist(), wanted)
             good = np.array([not why for why in refused_presses(press, limits)])
             rows = waiting[good]
             offset[rows, probe], true[rows, probe] = wanted[good], press.truth.offset_mm[good]
-            seen[rows, probe] = press.observation[good][:, TICKS]
+            seen[rows, probe] = press.observation[good][:, fused.TICKS]
             count[rows] += 1
             waiting = waiting[~good]
     true_com = np.array([true_com_xy_mm(scene) for scene in scenes])
@@ -181,9 +156,9 @@ def simulate_sequences(
     }
 
 
-def _face_arrays(piece: Piece, n: int) -> dict[str, NDArray[Any]]:
+def _face_arrays(piece: geometry.Piece, n: int) -> dict[str, NDArray[Any]]:
     height_mm, com = np.asarray(piece.grip_height_mm), np.asarray(piece.com_xy_mm)
-    face = GraspedFace.of(face_points(piece.face), com, height_mm)
+    face = fused.GraspedFace.of(geometry.face_points(piece.face), com, height_mm)
     return {
         "reach_mm": np.tile(face.reach_mm.astype(np.float32), (n, 1)),
         "com_mm": np.tile(face.com_mm.astype(np.float32), (n, 1)),
@@ -209,13 +184,13 @@ def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -
 
 def margin_field(scene: Scene) -> NDArray[np.float16]:
     """Return the margins (m, m) with the centre of mass at the nodes, row y and column x, mm."""
-    axis = np.arange(-MARGIN_REACH_MM, MARGIN_REACH_MM + 0.1, MARGIN_STEP_MM)
+    axis = np.arange(-fused.MARGIN_REACH_MM, fused.MARGIN_REACH_MM + 0.1, MARGIN_STEP_MM)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     margin = touched_margins_mm(scene, true_com_xy_mm(scene), places)
     return margin.reshape(len(axis), len(axis)).astype(np.float16)
 
 
-def corners_mm(outline: Outline) -> NDArray[np.float32]:
+def corners_mm(outline: geometry.Outline) -> NDArray[np.float32]:
     """Return the (128, 2) corners of an outline, the last one repeated as padding."""
     polygon = outline.polygon(CORNERS)
     filled = np.repeat(polygon[-1:], CORNERS - len(polygon), axis=0)
@@ -223,7 +198,7 @@ def corners_mm(outline: Outline) -> NDArray[np.float32]:
 
 
 def labelled_sequences(
-    rows: TrainingRows, library: PieceLibrary, sensor_mm: float
+    rows: TrainingRows, library: geometry.PieceLibrary, sensor_mm: float
 ) -> dict[str, NDArray[Any]]:
     """Return labelled probes as the arrays of ``simulate_sequences``, one sequence a gripping.
 
@@ -238,9 +213,9 @@ def labelled_sequences(
     count = np.array([len(group) for group in groups.values()])
     there = np.arange(count.max()) < count[:, None]
     order = np.concatenate(list(groups.values()))
-    seen = rows.inputs(order)[:, TICKS]
+    seen = rows.inputs(order)[:, fused.TICKS]
     arrays: dict[str, NDArray[Any]] = {
-        "wrench": wrench_at_sensor(seen[..., TACTILE_CHANNELS:], sensor_mm),
+        "wrench": fused.wrench_at_sensor(seen[..., TACTILE_CHANNELS:], sensor_mm),
         "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
         "offset_mm": rows.offset_mm[order].astype(np.float32),
     }
@@ -251,7 +226,7 @@ def labelled_sequences(
     for _, _, name in groups:
         below = library.bottom(name)
         outline = below.upper or below.face
-        if outline.kind == "region" or below.surface != FLAT:
+        if outline.kind == "region" or below.surface != geometry.FLAT:
             raise InputError(
                 f"The bottom {name} is not convex and flat.", "fine-tuning of fused",
                 "Use probes on circles, rectangles and other convex bottoms.",
@@ -342,7 +317,7 @@ class FusionRecipe:
     seed: int = 0
     device: DeviceName = "auto"
     portions: Mapping[str, DataPortion] = field(default_factory=lambda: PORTIONS)
-    outlines: OutlineKinds = "convex"  # of the bottoms
+    outlines: geometry.OutlineKinds = "convex"  # of the bottoms
     ready: Mapping[str, Sequence[JobSpec]] = field(default_factory=dict)
     batch: int = BATCH  # sequences a step
     networks: int = 1  # of an ensemble, each with its own initial weights and order of the data
@@ -405,7 +380,7 @@ class FusionRecipe:
 def ready_sequences(
     store: JobStore,
     bench: SimulationSettings,
-    outlines: OutlineKinds,
+    outlines: geometry.OutlineKinds,
     ranges: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, list[JobSpec]]:
     """Return the finished jobs of sequences of a bench and a family, by portion, by seed.
@@ -447,18 +422,18 @@ def adopt_tuning(
     the wrist sensor above the grasp pivot; ``share``: of simulated sequences. Raises ``InputError``
     for probes or a network that cannot be used.
     """
-    found = load_fused(network)
+    found = fused.load_fused(network)
     if rows is not None and found.card.outlines != "convex":
         what = "Only networks for convex outlines can be fine-tuned on labelled probes."
         fix = "Name another one."
         raise InputError(what, str(network), fix)
-    own = {} if rows is None else labelled_sequences(rows, load_pieces(), sensor_mm)
+    own = {} if rows is None else labelled_sequences(rows, geometry.load_pieces(), sensor_mm)
     count = len(own.get("count", ()))
     held = np.arange(count) % LABELLED_HELD_OUT == LABELLED_HELD_OUT - 1
     if own and not held.any():
         what = f"The labelled probes come from {count} grippings, {LABELLED_HELD_OUT} are needed."
         raise InputError(what, "--data", "Label probes of more grippings.")
-    facts = {"weights_sha256": found.card.weights_sha256, "data_sha256": data_sha256(own)}
+    facts = {"weights_sha256": found.card.weights_sha256, "data_sha256": fused.data_sha256(own)}
     spec = JobSpec("tuning", facts)
     if not store.has(spec.id):
         with store.writing(spec) as part:
@@ -488,7 +463,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     simulated, kept = split_folders(folders, spec.params["counts"])
     train, held_out = read_sequences(simulated), read_sequences(kept)
     kinds = spec.params.get("outlines", "convex")
-    settings = FusedTraining(
+    settings = fused.FusedTraining(
         steps=spec.params["steps"],
         batch=spec.params.get("batch", BATCH),
         seed=spec.seed,
@@ -498,7 +473,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     origin, metrics = dict[str, Any](), dict[str, Any]()
     if tuning := spec.params.get("tuning"):
         folder = place.store.folder(tuning)
-        start, own = load_fused(folder / WEIGHTS), 0
+        start, own = fused.load_fused(folder / WEIGHTS), 0
         if start.card.outlines != kinds:
             what = f"This network is of outlines {start.card.outlines}, the sequences are not."
             raise InputError(what, "--from", f"Give --outlines {start.card.outlines}.")
@@ -509,13 +484,13 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         member = spec.seed // NETWORK_SEEDS % start.card.hyper.networks
         settings = replace(
             settings,
-            start=one_network(start, member).arrays,
+            start=fused.one_network(start, member).arrays,
             shape=replace(start.card.hyper, networks=1),
             learning_rate=spec.params["learning_rate"],
         )
         origin = {"pretrained": start.card.weights_sha256, "labelled_sequences": own}
     device = select_device(spec.params["device"])
-    trainer = FusedTrainer(train, held_out, settings, device)
+    trainer = fused.FusedTrainer(train, held_out, settings, device)
     if tuning:
         metrics["pretrained_held_out_loss"] = round(trainer.held_out_loss(), 4)
     losses = list(trainer.steps())
@@ -523,7 +498,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         "train_loss": round(float(np.mean(losses[-REPORTED:])), 4),
         "held_out_loss": round(trainer.held_out_loss(), 4),
     }
-    card = FusedCard(
+    card = fused.FusedCard(
         hyper=settings.shape,
         family=FAMILY_TEXT.format(
             more=REGION_TEXT if kinds == "any" else "",
@@ -531,7 +506,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             + SURFACE_TEXT * ("surfaces" in spec.params),
         ),
         outlines=kinds,
-        left_out=(*UNSEEN_PIECES, *UNSEEN_BOTTOMS),
+        left_out=(*geometry.UNSEEN_PIECES, *geometry.UNSEEN_BOTTOMS),
         bench_sha256=spec.params["bench_sha256"],
         data_sha256=trainer.data["sha256"],
         seed=spec.seed,
@@ -569,7 +544,7 @@ def mix_sequences(
 
 def join_trained(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Join the networks of the input jobs to an ensemble."""
-    members = [load_fused(place.store.folder(source) / WEIGHTS) for source in spec.inputs]
-    joined = join_networks(members)
+    members = [fused.load_fused(place.store.folder(source) / WEIGHTS) for source in spec.inputs]
+    joined = fused.join_networks(members)
     card = save_checkpoint(place.folder / WEIGHTS, joined.arrays, joined.card)
     return {"weights_sha256": card.weights_sha256, **card.metrics}

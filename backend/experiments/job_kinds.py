@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend import learning
 from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import (
     SimulationSettings,
@@ -44,18 +45,6 @@ from touchdown.backend.experiments.trials import (
 )
 from touchdown.backend.geometry import face_points, load_pieces
 from touchdown.backend.jobs import JobContext, JobFunctions, JobSpec
-from touchdown.backend.learning import (
-    CONTACT_LEVEL,
-    Checkpoint,
-    Trainer,
-    device_name,
-    fingerprint,
-    make_card,
-    save_checkpoint,
-    select_device,
-    stable_flags,
-    use_one_thread,
-)
 from touchdown.backend.runs import RecordingOptions, StackRequest
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene
@@ -85,23 +74,23 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 def train_model(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Train one model on the probes of the input jobs."""
-    use_one_thread()
+    learning.use_one_thread()
     settings = parse_settings(TrainingSettings, spec.params["training"], "job")
     rows = join_rows([load_rows(place.store.folder(i)) for i in sorted(spec.inputs)])
     head = spec.params["head"]
     if head == "stability":
         rows = stability_rows(rows)
-    data = fingerprint(rows)
-    device = select_device(spec.params["device"])
-    trainer = Trainer(rows, settings, device)
+    data = learning.fingerprint(rows)
+    device = learning.select_device(spec.params["device"])
+    trainer = learning.Trainer(rows, settings, device)
     losses = [(report.train_loss, report.validation_loss) for report in trainer.epochs()]
-    card = make_card(rows, trainer, data).model_copy(update={"answers": head})
-    card = save_checkpoint(place.folder / WEIGHTS, trainer.best_model().arrays(), card)
+    card = learning.make_card(rows, trainer, data).model_copy(update={"answers": head})
+    card = learning.save_checkpoint(place.folder / WEIGHTS, trainer.best_model().arrays(), card)
     return {
         "weights_sha256": card.weights_sha256,
         "data_sha256": data,
         "episodes": len(rows),
-        "device": device_name(device),
+        "device": learning.device_name(device),
         "losses": [[round(a, 5), round(b, 5)] for a, b in losses],
     }
 
@@ -113,14 +102,14 @@ def stability_rows(rows: TrainingRows) -> TrainingRows:
     """
     piece = load_pieces().top(rows.piece)
     points = face_points(piece.face) - np.asarray(piece.com_xy_mm)
-    return replace(rows, patch=stable_flags(rows.patch, points)[:, None])
+    return replace(rows, patch=learning.stable_flags(rows.patch, points)[:, None])
 
 
 def evaluate_static(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Press groups of probes over one bottom and score every model on the same probes."""
     p = spec.params
     case = SceneSetup.of_job(p, p["bottom"])
-    use_one_thread()
+    learning.use_one_thread()
     judged = 1
     if p.get("protocol") == PAPER_PROTOCOL:
         seeds, size = range(spec.seed, spec.seed + p["mountings"]), GROUPS_PER_BATCH // p["grips"]
@@ -144,14 +133,14 @@ def _chunks(seeds: range, size: int) -> list[range]:
 
 
 def _scores(
-    checkpoint: Checkpoint, case: SceneSetup, groups: ProbeGroups, judged: int, fuses: bool
+    checkpoint: learning.Checkpoint, case: SceneSetup, groups: ProbeGroups, judged: int, fuses: bool
 ) -> dict[str, Any]:
     """Return the scores of one model; ``fuses``: with the verdicts of Table 2."""
     model = batch_model(checkpoint, case.piece)
     probability = groups.predictions(model)
     about: dict[str, Any] = {"weights_sha256": checkpoint.card.weights_sha256}
     if checkpoint.card.answers == "stability":
-        stable = (probability[:, :judged, 0] > CONTACT_LEVEL).T.ravel()
+        stable = (probability[:, :judged, 0] > learning.CONTACT_LEVEL).T.ravel()
         return {**about, "says": {"1": stable.tolist()}}
     # The first probe of a balanced sample is not a random one.
     about["patch"] = score_patches(probability, groups, first=int(judged == 1))
@@ -164,7 +153,7 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run the trials of one cell; every trial counts."""
     p = spec.params
     case = SceneSetup.of_job(p, *p["bottoms"])
-    use_one_thread()
+    learning.use_one_thread()
     scenes, left_out = _counted(case, spec)
     settings, limits = StackSettings(), EpisodeLimits()
     answer: dict[str, Any] = {"bench_sha256": bench_sha256(case.settings), "left_out": left_out}

@@ -6,6 +6,7 @@ import json
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+from touchdown.backend import core
 from touchdown.backend.annotations import (
     DISK_FULL_ERRNOS,
     Dataset,
@@ -18,15 +19,6 @@ from touchdown.backend.annotations import (
     uuid7,
 )
 from touchdown.backend.calibration import HandPosition
-from touchdown.backend.core import (
-    CampaignBegan,
-    FaultError,
-    InputError,
-    MountingAwaited,
-    RefusedError,
-    RunStarted,
-    Said,
-)
 from touchdown.backend.episodes import FACTS_KEY, START_KEY
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.campaign import (
@@ -68,12 +60,12 @@ def ask_mounting(bench: Bench, dataset: Dataset, campaign: Campaign) -> Plan[Mou
 
     Nothing moves meanwhile.
     """
-    question = MountingAwaited(bench.now_s(), bench.bottom, campaign.mountings)
+    question = core.MountingAwaited(bench.now_s(), bench.bottom, campaign.mountings)
     if (yield from ask_operator(bench, question, "the answer about the mounting")):
         return NEW_MOUNTING
     found = _last(dataset, campaign)
     text = f"Mounting {campaign.mountings} and its series go on, after {found.grips} grips."
-    yield Said(bench.now_s(), text)
+    yield core.Said(bench.now_s(), text)
     return found
 
 
@@ -94,7 +86,7 @@ def collect_run(session: RunContext, request: CollectRequest) -> Plan[None]:
     settings = request_record(request, method, session.check_scene(request.scene()))
     entries = dataset.episodes(EpisodeFilter(campaign=campaign.uuid))
     session.open_record()
-    yield RunStarted(
+    yield core.RunStarted(
         0.0, session.run_id, request.piece, request.bottom, request.pattern, request.seed, 1,
         session.simulated, settings, activity="collect",
     )  # fmt: skip
@@ -195,7 +187,7 @@ def _one(
     origin = bench.placed.origin(request.origin_mm, sigma_mm, bench.bottom)
     context = _context(session, request, bench, origin, collector.campaign, dataset)
     context = replace(context, series=mounting.series or context.series)
-    yield CampaignBegan(
+    yield core.CampaignBegan(
         bench.now_s(), collector.campaign.uuid, context.series, str(dataset.folder),
         collector.done, collector.campaign.count,
     )  # fmt: skip
@@ -227,17 +219,17 @@ def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan
             "tried again when it goes on.",
             "then press Reset.",
         )
-        raise FaultError(fault) from error
+        raise core.FaultError(fault) from error
     return True
 
 
 def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
     if session.dataset is None:
-        raise RefusedError("NO-DATASET", "No dataset is open to collect into.")
+        raise core.RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not session.dataset.writable:
-        raise RefusedError("READ-ONLY", "The dataset is open for reading only.")
+        raise core.RefusedError("READ-ONLY", "The dataset is open for reading only.")
     if not request.person.strip():
-        raise InputError("No operator is named.", "--person", "Give the name of the operator.")
+        raise core.InputError("No operator is named.", "--person", "Give the name of the operator.")
     return session.dataset
 
 

@@ -7,15 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    FloatArray,
-    PhaseEntered,
-    Pose,
-    RefusedError,
-    Said,
-)
+from touchdown.backend import core
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.jig import approach_with_piece
 from touchdown.backend.runs.motions import (
@@ -35,23 +27,23 @@ DEPTH_MM, TOUCH_S = 0.1, 0.1
 SETTLE_S = 0.3
 
 
-def find_height(bench: Bench, centre: FloatArray) -> Plan[float]:
+def find_height(bench: Bench, centre: core.FloatArray) -> Plan[float]:
     """Carry the piece over ``centre`` (2,), touch, and return the height of contact.
 
     Raises ``RefusedError`` "ORIGIN-FAR" without contact.
     """
     x_mm, y_mm = centre.tolist()
     start_mm = (bench.piece.grip_height_mm or 0.0) + bench.settings.probe.start_height_mm
-    yield from approach_with_piece(bench, Pose(x_mm, y_mm, start_mm))
+    yield from approach_with_piece(bench, core.Pose(x_mm, y_mm, start_mm))
     contact_mm = yield from touch_height_mm(bench, centre, start_mm, 2.0 * BELOW_MM)
     if contact_mm is None:
-        raise RefusedError("ORIGIN-FAR", "No contact at the expected centre of the bottom.")
+        raise core.RefusedError("ORIGIN-FAR", "No contact at the expected centre of the bottom.")
     return contact_mm
 
 
 def edge_mm(
     bench: Bench,
-    centre: FloatArray,
+    centre: core.FloatArray,
     axis: int,
     side: float,
     start_mm: float,
@@ -76,14 +68,14 @@ def edge_mm(
         else:
             inside = middle
     if inside == least or outside == most:
-        raise RefusedError(
+        raise core.RefusedError(
             "ORIGIN-FAR", f"The bottom is more than {SEARCH_MM:.0f} mm from where it should be."
         )
     return side * 0.5 * (inside + outside)
 
 
 def touch_height_mm(
-    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+    bench: Bench, place: core.FloatArray, start_mm: float, below_mm: float
 ) -> Plan[float | None]:
     """Descend at ``place`` (2,) from ``start_mm``; return the height of contact, None without one.
 
@@ -94,11 +86,11 @@ def touch_height_mm(
     return (yield from retry_if_void(bench, touch, void_touch(bench, start_mm), TOUCH_TRIES))
 
 
-def void_touch(bench: Bench, start_mm: float) -> Callable[[Fault], Plan[None]]:
+def void_touch(bench: Bench, start_mm: float) -> Callable[[core.Fault], Plan[None]]:
     """Return the plan after a void touch: say why, rise to ``start_mm``."""
 
-    def after_void(fault: Fault) -> Plan[None]:
-        yield Said(bench.now_s(), f"The touch is void: {fault.what} Touching again.")
+    def after_void(fault: core.Fault) -> Plan[None]:
+        yield core.Said(bench.now_s(), f"The touch is void: {fault.what} Touching again.")
         yield from rise_from_contact(bench, start_mm)
 
     return after_void
@@ -106,25 +98,25 @@ def void_touch(bench: Bench, start_mm: float) -> Callable[[Fault], Plan[None]]:
 
 def rise_from_contact(bench: Bench, start_mm: float) -> Plan[None]:
     """Rise straight up to ``start_mm`` from where the contact pushed the arm, without dragging."""
-    yield PhaseEntered(bench.now_s(), "lift", 0)
+    yield core.PhaseEntered(bench.now_s(), "lift", 0)
     here = bench.arm.pose(max_age_s=0.2)
-    up = Pose(here.x_mm, here.y_mm, start_mm)
+    up = core.Pose(here.x_mm, here.y_mm, start_mm)
     yield from move_to(bench, up, "the arm to lift")
 
 
 def _touched_mm(
-    bench: Bench, place: FloatArray, start_mm: float, below_mm: float
+    bench: Bench, place: core.FloatArray, start_mm: float, below_mm: float
 ) -> Plan[float | None]:
     x_mm, y_mm = place.tolist()
-    yield from move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
+    yield from move_to(bench, core.Pose(x_mm, y_mm, start_mm), "the arm to shift")
     yield from wait(bench, SETTLE_S)
-    yield PhaseEntered(bench.now_s(), "approach", 0)
+    yield core.PhaseEntered(bench.now_s(), "approach", 0)
     press = bench.arm.press(press_command(bench, DEPTH_MM, TOUCH_S, 2.0 * TOUCH_S, below_mm))
     yield Wait(lambda: press.done, MOVE_S, "the touch to end")
     onset_s = press.onset_s
     try:
         press.result()
-    except FaultError as cause:
+    except core.FaultError as cause:
         if cause.fault.code != "NO-CONTACT":
             raise
     height_mm = None

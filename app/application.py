@@ -112,7 +112,10 @@ class TouchdownApp(QObject):
         self.toured, self.tour_due = settings.toured, False
         stops = partial(tour_stops, self.window, self.bar, self.workspaces)
         self.tour = Tour(self.theme, self.window, self.cards, stops, self.go, self._tour_ended)
-        self._wire_rail()
+        for name, button in self.window.rail.items():
+            action = self.actions.action(name)
+            button.setToolTip(f"{action.text()} ({action.shortcut().toString()})")
+            button.clicked.connect(action.trigger)
         warning = f"{warning} {shell.ignored_words(self.actions.refused)}".strip()
         self._warn(warning, self.layouts.load(tuple(self.workspaces)))
         front = settings.front if settings.front in self.workspaces else FIRST
@@ -309,12 +312,6 @@ class TouchdownApp(QObject):
             shell.WindowCommand("tour", "Tour of the window", "Ctrl+F1", lambda: self.tour.begin()),
             shell.WindowCommand("quit", "Quit", "Ctrl+Q", lambda: self.window.close()),
         ]  # fmt: skip
-
-    def _wire_rail(self) -> None:
-        for name, button in self.window.rail.items():
-            action = self.actions.action(name)
-            button.setToolTip(f"{action.text()} ({action.shortcut().toString()})")
-            button.clicked.connect(action.trigger)
 
     def open_bench(self, file: Path) -> None:
         """Ask to start again with a bench file, unless the file or the present bench prevents it.

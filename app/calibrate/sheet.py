@@ -207,7 +207,10 @@ class CalibrateSheet(BenchSheet):
         self.accept_it.setToolTip(tr("Keep the result as a file that expires"))
         self.open_it.setToolTip(tr("Open the jaws; asks first while a piece is held"))
         self.identify.setToolTip(tr("Fit the simulated bench to recorded presses"))
-        self._arrange()
+        body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
+        foot = self.open_it, self.measure, self.cancel, self.accept_it, self.identify
+        self.arrange((body, 1), foot=foot, spacing=10)
+        self.resize_to_em(54, 38)
 
     def show_look(self, look: CalibrationView) -> None:
         """Update the sheet."""
@@ -297,12 +300,6 @@ class CalibrateSheet(BenchSheet):
         set_property(self.measure, "role", "" if can_accept or opens else "primary")
         for widget in (self.form, *self.choices):
             widget.setEnabled(not look.busy)
-
-    def _arrange(self) -> None:
-        body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
-        foot = self.open_it, self.measure, self.cancel, self.accept_it, self.identify
-        self.arrange((body, 1), foot=foot, spacing=10)
-        self.resize_to_em(54, 38)
 
     def _left(self) -> QVBoxLayout:
         for index, choice in enumerate(self.choices):

@@ -184,7 +184,9 @@ class ReviewPresenter:
         self._notes, self.bookmarks = None, []
         self._asked += 1
         if 0 <= row < len(self._episodes):
-            self._show_episode(self._episodes[row])
+            uuid = self._episodes[row]
+            self._page.signals_panel.detail.setText(tr("reading"))
+            self._later(lambda: self.library.episode(uuid), self._take_episode)
         elif not self._episodes and 0 <= row < len(self.timed):
             self._show_trial(self.timed[row])
         else:
@@ -213,10 +215,6 @@ class ReviewPresenter:
         detail = self._page.signals_panel.detail
         detail.setText("; ".join(recorded.missing) or count_noun(len(recorded.traces), "probe"))
         detail.setToolTip("\n".join(recorded.missing))
-
-    def _show_episode(self, uuid: str) -> None:
-        self._page.signals_panel.detail.setText(tr("reading"))
-        self._later(lambda: self.library.episode(uuid), self._take_episode)
 
     def _take_episode(self, shown: episodes.StoredEpisode) -> None:
         entry = shown.entry

@@ -76,7 +76,6 @@ class BenchSheet(QDialog):
 
     def __init__(self, parent: QWidget, title: str) -> None:
         super().__init__(parent)
-        self.setModal(False)
         self.setWindowTitle(tr(title))
 
     def give_width(self, em: float) -> None:

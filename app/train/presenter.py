@@ -327,7 +327,10 @@ class TrainPresenter:
 
     def choose(self) -> None:
         """Show the training runs and the results of the chosen ones."""
-        self._show_rows()
+        chosen = self._page.runs.chosen()
+        marks = dict(zip(chosen, words.LETTERS, strict=False)) if len(chosen) > 1 else {}
+        rows = [words.run_row(run, self.in_use, marks) for run in self.runs.values()]
+        self._page.runs.show_runs(rows)
         self._show_chosen()
         self.show_buttons()
 
@@ -376,12 +379,6 @@ class TrainPresenter:
     def _chosen_alone(self) -> TrainingRun | None:
         chosen = self._chosen()
         return chosen[0] if len(chosen) == 1 else None
-
-    def _show_rows(self) -> None:
-        chosen = self._page.runs.chosen()
-        marks = dict(zip(chosen, words.LETTERS, strict=False)) if len(chosen) > 1 else {}
-        rows = [words.run_row(run, self.in_use, marks) for run in self.runs.values()]
-        self._page.runs.show_runs(rows)
 
     def _show_chosen(self) -> None:
         page, chosen = self._page, self._chosen()

@@ -101,7 +101,6 @@ class TargetPanel(Panel):
             check_origin=self.check_origin, ask=self.ask, hand_over=self.hand_over,
         )  # fmt: skip
         set_entries(self.pattern, PATTERNS)
-        self.bar.setTextVisible(True)
         self.bar.setFormat(tr("This series: %v of %m"))
         self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)

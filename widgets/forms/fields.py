@@ -356,7 +356,6 @@ class HoldButton(QPushButton):
         self._what, self._hold, self._step = what, hold, step
         self.setProperty("role", "hold")
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.setAutoRepeat(False)
         self.setMinimumSize(LEAST_PX, LEAST_PX)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)

@@ -119,12 +119,9 @@ class ContactStiffnessEstimate:
             times, heights = zip(*self._commands, strict=True)
             self._seen.append((float(np.interp(t_s - self._delay_s, times, heights)), force_n))
         elif len(self._seen) >= STIFFNESS_LEAST_SAMPLES:
-            self.found_n_mm = self._slope()
-
-    def _slope(self) -> float:
-        heights, forces = np.array(self._seen).T
-        away = heights - heights.mean()
-        return float(-(away @ forces) / max(float(away @ away), 1e-9))
+            heights, forces = np.array(self._seen).T
+            away = heights - heights.mean()
+            self.found_n_mm = float(-(away @ forces) / max(float(away @ away), 1e-9))
 
 
 SILENT_S = 0.3  # in contact the arm retreats after this time without a wrench
@@ -173,7 +170,8 @@ class PressProgram:
         self._check_stiffness(comply, felt)
         self._check_contact(comply, felt.now_s)
         if self._rise_to_mm is not None:
-            self._retract(comply, felt)
+            z_mm = float(comply.reference_mm[2]) + RETREAT_MM_S * felt.cycle_s
+            comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
         elif not comply.swinging:
             self._ramp(comply, felt)
         return comply.command_mm(felt.now_s)
@@ -283,11 +281,6 @@ class PressProgram:
     def _draw_back(self, comply: Compliance, fault: Fault) -> None:
         self.motion.end(fault)
         self._rise_to_mm = float(comply.reference_mm[2]) + RETREAT_MM
-
-    def _retract(self, comply: Compliance, felt: CycleInput) -> None:
-        assert self._rise_to_mm is not None
-        z_mm = float(comply.reference_mm[2]) + RETREAT_MM_S * felt.cycle_s
-        comply.reference_mm[2] = min(z_mm, self._rise_to_mm)
 
 
 def no_contact_fault(travel_mm: float) -> Fault:

@@ -16,6 +16,7 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from touchdown.backend import episodes
 from touchdown.backend.annotations import episode_index, operation_log, review
 from touchdown.backend.annotations.consistency import (
     ConsistencyProblem,
@@ -36,20 +37,6 @@ from touchdown.backend.core import (
     make_folder,
     parse_json,
     sync_folder,
-)
-from touchdown.backend.episodes import (
-    DAMAGED_FILE_FIX,
-    LABEL_TOPIC,
-    OBSERVATION_TOPIC,
-    START_KEY,
-    StoredChunk,
-    input_errors,
-    read_chunk,
-    read_chunks,
-    read_whole,
-    salvage_file,
-    unpack_json,
-    unpack_observation,
 )
 from touchdown.backend.geometry import PieceLibrary, load_pieces
 
@@ -241,14 +228,14 @@ def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[Co
 
 def read_complete(path: Path, root: Path) -> CompleteFile:
     """Read an episode file with all checksums; raises ``InputError`` if it is incomplete."""
-    contents = read_whole(path)
-    messages = contents.messages.get(LABEL_TOPIC.name, [])
+    contents = episodes.read_whole(path)
+    messages = contents.messages.get(episodes.LABEL_TOPIC.name, [])
     if "episode" not in contents.metadata or not messages:
         raise InputError(
-            "The file has no label message to adopt it by.", str(path), DAMAGED_FILE_FIX
+            "The file has no label message to adopt it by.", str(path), episodes.DAMAGED_FILE_FIX
         )
-    with input_errors(path):
-        facts, message = contents.metadata["episode"], unpack_json(messages[-1])
+    with episodes.input_errors(path):
+        facts, message = contents.metadata["episode"], episodes.unpack_json(messages[-1])
         quality = parse_json(facts["quality"])
         quality["reasons"] = tuple(quality["reasons"])
         if facts["uuid"] != message["episode"]:
@@ -305,7 +292,7 @@ def _second_file(parts: DatasetParts, path: Path, row: EpisodeFileRow) -> Consis
 def _torn_file(parts: DatasetParts, path: Path, row: EpisodeFileRow | None) -> ConsistencyProblem:
     def repair(connection: sqlite3.Connection) -> None:
         aside = quarantine_file(parts, path)
-        salvage_file(aside, aside.with_name(f"{path.stem}.salvaged.mcap"))
+        episodes.salvage_file(aside, aside.with_name(f"{path.stem}.salvaged.mcap"))
         if row is not None:
             _mark(connection, [row.uuid], "quarantined")
 
@@ -330,7 +317,9 @@ def _leftover(
             yield leftover(parts, part, "was left beside its finished file")
     elif not _is_reported(target, part):
         message = f"{name} was never finished: its complete chunks are in quarantine."
-        yield ConsistencyProblem("unfinished", name, message, lambda _: salvage_file(part, target))
+        yield ConsistencyProblem(
+            "unfinished", name, message, lambda _: episodes.salvage_file(part, target)
+        )
 
 
 def _is_reported(target: Path, part: Path) -> bool:
@@ -362,7 +351,7 @@ def _state(row: EpisodeFileRow, state: str, message: str) -> ConsistencyProblem:
 def is_readable(path: Path) -> bool:
     """Return True if all checksums of an MCAP file are right."""
     try:
-        read_whole(path)
+        episodes.read_whole(path)
     except InputError:
         return False
     return True
@@ -456,30 +445,32 @@ def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
 
 def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
     """Yield the episodes of a complete pack; raises ``InputError`` if it is damaged or foreign."""
-    for chunk in read_chunks(path):
-        messages = chunk.contents.messages.get(LABEL_TOPIC.name)
+    for chunk in episodes.read_chunks(path):
+        messages = chunk.contents.messages.get(episodes.LABEL_TOPIC.name)
         if not messages or "episode" in chunk.contents.metadata:
-            raise InputError("The file is not a pack of episodes.", str(path), DAMAGED_FILE_FIX)
-        with input_errors(path):
-            label = unpack_json(messages[0])
+            raise InputError(
+                "The file is not a pack of episodes.", str(path), episodes.DAMAGED_FILE_FIX
+            )
+        with episodes.input_errors(path):
+            label = episodes.unpack_json(messages[0])
             label_of(label)
             yield PackEntry(_packed_uuid(chunk), chunk.offset, chunk.length, chunk.sha256, label)
 
 
 def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
     """Read one episode of a pack: observation and commanded offset, without recording."""
-    group = read_chunk(path, *chunk)
-    with input_errors(path):
-        label = unpack_json(group.messages[LABEL_TOPIC.name][0])
-        observation = unpack_observation(group.messages[OBSERVATION_TOPIC.name])
+    group = episodes.read_chunk(path, *chunk)
+    with episodes.input_errors(path):
+        label = episodes.unpack_json(group.messages[episodes.LABEL_TOPIC.name][0])
+        observation = episodes.unpack_observation(group.messages[episodes.OBSERVATION_TOPIC.name])
         name, piece = str(label["episode"]), str(label["piece"])
         return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
 
 
-def _packed_uuid(chunk: StoredChunk) -> str:
+def _packed_uuid(chunk: episodes.StoredChunk) -> str:
     """Return the id of a packed episode, derived from its content without its log times."""
     digest = chunk.sha256
-    if START_KEY in chunk.contents.metadata.get("pack", {}):
+    if episodes.START_KEY in chunk.contents.metadata.get("pack", {}):
         topics = sorted(chunk.contents.messages.items())
         digest = sha256(b"".join(row for _, rows in topics for row in rows)).hexdigest()
     return uuid7_from_parts(0, int(digest, 16) >> (256 - RANDOM_BITS))
@@ -626,7 +617,7 @@ def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> Consistenc
     def repair(connection: sqlite3.Connection) -> None:
         repaired, listed = parts.quarantine / f"{path.stem}.repaired.mcap", list[PackEntry]()
         parts.quarantine.mkdir(exist_ok=True)
-        saved = salvage_file(path, repaired)
+        saved = episodes.salvage_file(path, repaired)
         quarantine_file(parts, path)
         if saved.path is not None:
             repaired.replace(path)

@@ -24,21 +24,13 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend import core
 from touchdown.backend.config import (
     BenchIdentity,
     SimulationSettings,
     StackSettings,
     bench_sha256,
     parse_settings,
-)
-from touchdown.backend.core import (
-    InputError,
-    Outcome,
-    PhaseEntered,
-    RunStarted,
-    TrialFinished,
-    TrialStarted,
-    program_version,
 )
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import PIECES, job_code
@@ -96,7 +88,7 @@ def fresh_scene(piece: Piece, seed: int, bench: SimulationSettings, outlines: st
         tower = Tower((body,))
         if can_be_placed(piece, tower):
             # The piece may stand wherever the faces overlap.
-            with suppress(InputError):
+            with suppress(core.InputError):
                 start = draw_start(
                     start_generator(seed, piece.name, body.name), piece.body(), tower
                 )
@@ -145,7 +137,7 @@ class Certification:
             scenes=self.scenes,
             date=datetime.now(UTC),
             sources=job_code("certify", self.code),
-            program_version=program_version(),
+            program_version=core.program_version(),
         )
         told = f"{planned.plan()} {number}".encode()
         seed = int(sha256(told).hexdigest()[:SEED_DIGITS], 16)
@@ -180,7 +172,7 @@ class Certification:
         for level, risk in enumerate(self.risks):
             trials = [t for job in jobs[level :: len(self.risks)] for t in _trials(store, job)]
             released = [t["outcome"] for t in trials if t["released"]]
-            placed = released.count(Outcome.PLACED.value)
+            placed = released.count(core.Outcome.PLACED.value)
             toppled = [t["outcome"] for t in trials if not t["released"]]
             found.append(
                 ReleaseCounts.of(
@@ -189,7 +181,7 @@ class Certification:
                     scenes=len(trials),
                     placed=placed,
                     unsafe=len(released) - placed,
-                    toppled=toppled.count(Outcome.KNOCKED_OVER.value),
+                    toppled=toppled.count(core.Outcome.KNOCKED_OVER.value),
                 )
             )
         return found
@@ -208,7 +200,7 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     bench = parse_settings(SimulationSettings, p["bench"], "job")
     method = parse_settings(StackSettings, p["method"], "job")
     if load_fused(Path(method.fused.weights)).card.weights_sha256 != p["fused_sha256"]:
-        raise InputError(
+        raise core.InputError(
             "The network changed since the attempt began.",
             method.fused.weights,
             "Restore it; the attempt is spent otherwise.",
@@ -239,13 +231,13 @@ class LabelledTrial:
     piece: str
     bottom: str
     released: bool
-    outcome: Outcome | None
+    outcome: core.Outcome | None
     about: Mapping[str, Any]
 
     @property
     def unsafe(self) -> bool:
         """True for a release without a piece that stands; a void or missing outcome is one."""
-        return self.released and self.outcome is not Outcome.PLACED
+        return self.released and self.outcome is not core.Outcome.PLACED
 
 
 def labelled_trials(folder: Path) -> Iterator[LabelledTrial]:
@@ -259,25 +251,25 @@ def labelled_trials(folder: Path) -> Iterator[LabelledTrial]:
 
 
 def _trials_of(log: Path) -> Iterator[LabelledTrial]:
-    head: RunStarted | None = None
+    head: core.RunStarted | None = None
     about: Mapping[str, Any] = {}
     trial, released = 0, False
 
-    def ended(outcome: Outcome | None) -> LabelledTrial:
+    def ended(outcome: core.Outcome | None) -> LabelledTrial:
         assert head is not None
         name = f"{head.run_id} {trial}"
         return LabelledTrial(name, head.piece, head.bottom, released, outcome, about)
 
     for event in read_events(log):
-        if isinstance(event, RunStarted):
+        if isinstance(event, core.RunStarted):
             head, about = event, json.loads(event.settings).get("release") or {}
             if event.simulated or not about.get("bench_sha256") or about["weighed"]:
                 return
-        elif isinstance(event, TrialStarted):
+        elif isinstance(event, core.TrialStarted):
             trial, released = event.trial, False
-        elif isinstance(event, PhaseEntered) and event.phase == "release":
+        elif isinstance(event, core.PhaseEntered) and event.phase == "release":
             released = True
-        elif isinstance(event, TrialFinished):
+        elif isinstance(event, core.TrialFinished):
             yield ended(event.outcome)
             trial = 0
     if trial and released:
@@ -344,7 +336,7 @@ def certify_laboratory(
     needed = releases_needed(limit, attempt_error(number))
     if newest is None or len(released) < needed:
         others = "".join(f" {n} trials are {why}." for why, n in sorted(left_out.items()))
-        raise InputError(
+        raise core.InputError(
             f"{len(released)} releases with an outcome cannot show at most {100 * limit:g} %: "
             f"attempt {number} needs {needed}, none of them unsafe.{others}",
             bench.name,
@@ -365,7 +357,7 @@ def certify_laboratory(
             scenes=len(own),
             trials=tuple(t.name for t in own),
             date=datetime.now(UTC),
-            program_version=program_version(),
+            program_version=core.program_version(),
         )
     )
     unsafe = sum(t.unsafe for t in released)

@@ -26,6 +26,7 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
+from touchdown.backend.learning import training
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
@@ -41,19 +42,6 @@ from touchdown.backend.learning.metrics import (
     choose_samples,
     save_samples,
     score,
-)
-from touchdown.backend.learning.training import (
-    Trainer,
-    device_name,
-    fingerprint,
-    in_batches,
-    load_network,
-    load_training_state,
-    predict,
-    resume_path,
-    save_training_state,
-    select_device,
-    use_deterministic_algorithms,
 )
 from touchdown.backend.learning.training_data import (
     MANIFEST,
@@ -153,9 +141,9 @@ def evaluate_model(
 
 
 def _predictions(checkpoint: Checkpoint, rows: TrainingRows) -> NDArray[np.float32]:
-    model, seen = load_network(checkpoint), modality_columns(checkpoint.card.modality)
-    parts = in_batches(np.arange(len(rows)))
-    return np.concatenate([predict(model, rows.inputs(part), seen) for part in parts])
+    model, seen = training.load_network(checkpoint), modality_columns(checkpoint.card.modality)
+    parts = training.in_batches(np.arange(len(rows)))
+    return np.concatenate([training.predict(model, rows.inputs(part), seen) for part in parts])
 
 
 def calibrate_model(checkpoint: Checkpoint, rows: TrainingRows) -> ModelCard:
@@ -186,7 +174,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
             "A model file ends in .safetensors.", str(job.out), "Choose another --out."
         )
     began_s = time.monotonic()
-    use_deterministic_algorithms(job.threads)
+    training.use_deterministic_algorithms(job.threads)
     pretrained = None if job.pretrained is None else load_checkpoint(job.pretrained)
     rows = load_episodes(job.data, job.piece, job.labels)
     benches, settings, split = read_benches(job.data, rows), job.settings, None
@@ -203,13 +191,16 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     if job.mix is not None:
         own, more = len(rows), load_episodes(job.mix, rows.piece, job.labels)
         rows, split = mix_rows(rows, more, job.mix_share, settings)
-        origin["mixed"] = {"episodes": len(rows) - own, "fingerprint_sha256": fingerprint(more)}
-    data = fingerprint(rows)
-    trainer = Trainer(rows, settings, select_device(job.device), split)
+        origin["mixed"] = {
+            "episodes": len(rows) - own,
+            "fingerprint_sha256": training.fingerprint(more),
+        }
+    data = training.fingerprint(rows)
+    trainer = training.Trainer(rows, settings, training.select_device(job.device), split)
     before = None if pretrained is None else trainer.start_from(pretrained)
-    state, key = resume_path(job.out), data + key
+    state, key = training.resume_path(job.out), data + key
     if job.resume:
-        load_training_state(state, trainer, key)
+        training.load_training_state(state, trainer, key)
     tell(
         TrainingLoaded(
             piece=rows.piece,
@@ -223,7 +214,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         )
     )
     for report in trainer.epochs(cancelled):
-        save_training_state(state, trainer, key)
+        training.save_training_state(state, trainer, key)
         tell(report)
     if not trainer.finished:
         tell(TrainingCancelled(done=trainer.done, state=state))
@@ -289,7 +280,7 @@ def load_episodes(data: Path, piece: str | None, labels: LabelChoice) -> Trainin
 
 def make_card(
     rows: TrainingRows,
-    trainer: Trainer,
+    trainer: training.Trainer,
     data: str,
     benches: tuple[BenchDescription, ...] = (),
     probability: NDArray[np.float32] | None = None,
@@ -328,7 +319,7 @@ def make_card(
         training={
             **settings.model_dump(),
             "torch": torch.__version__,
-            "device": device_name(trainer.device),
+            "device": training.device_name(trainer.device),
         },
         seed=settings.seed,
         program_version=program_version(),
@@ -341,7 +332,7 @@ def make_card(
 
 
 def _calibration(
-    rows: TrainingRows, trainer: Trainer, probability: NDArray[np.float32] | None
+    rows: TrainingRows, trainer: training.Trainer, probability: NDArray[np.float32] | None
 ) -> PatchCalibration | None:
     """Return the calibration on the held-out episodes; None if they determine none."""
     held_out = trainer.predict_held_out() if probability is None else probability

@@ -15,15 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from touchdown.backend.core import (
-    Event,
-    Fault,
-    FaultRaised,
-    RunFinished,
-    RunStarted,
-    sync_folder,
-    write_atomically,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import TRACE_NAMES
 from touchdown.backend.rig.memory import SharedMemory
 
@@ -63,14 +55,14 @@ class ReservedFile:
         folder. Uses up the reservation. Raises ``OSError``.
         """
         if self._descriptor is None or self._folder != path.parent:
-            write_atomically(path, content)
+            core.write_atomically(path, content)
             return
         try:
             _fill(self._descriptor, content)
             _link_file(self._descriptor, path)
         finally:
             self.give_back()
-        sync_folder(path.parent)
+        core.sync_folder(path.parent)
 
     def __del__(self) -> None:
         with suppress(OSError):
@@ -110,19 +102,19 @@ class FlightRecorder:
         self._memory, self._folder = memory, folder
         self._reserve = ReservedFile()
 
-    def note(self, fact: Event) -> None:
+    def note(self, fact: core.Event) -> None:
         """Write the last seconds if ``fact`` is a fault and a run is recorded."""
         memory, folder = self._memory(), self._folder()
-        if isinstance(fact, RunFinished):
+        if isinstance(fact, core.RunFinished):
             self._reserve.give_back()
         if memory is None or folder is None or not folder.is_dir():
             return
-        if isinstance(fact, RunStarted):
+        if isinstance(fact, core.RunStarted):
             self._reserve.take(folder, RESERVED_BYTES)
-        elif isinstance(fact, FaultRaised):
+        elif isinstance(fact, core.FaultRaised):
             self._write(memory, folder, fact)
 
-    def _write(self, memory: SharedMemory, folder: Path, fact: FaultRaised) -> None:
+    def _write(self, memory: SharedMemory, folder: Path, fact: core.FaultRaised) -> None:
         number = sum(1 for _ in folder.glob("flight-*.jsonl")) + 1
         if number > MOST_FILES:
             return
@@ -136,7 +128,7 @@ class FlightRecorder:
         self._reserve.take(folder, RESERVED_BYTES)
 
 
-def recording_lines(memory: SharedMemory, t_s: float, fault: Fault) -> Iterator[str]:
+def recording_lines(memory: SharedMemory, t_s: float, fault: core.Fault) -> Iterator[str]:
     """Yield the lines of a recording: a header, then all records in order of time."""
     head = {"fault": asdict(fault), "t_s": t_s, "round": TRACE_NAMES, "wrench": NAMES}
     yield json.dumps(head, ensure_ascii=False) + "\n"

@@ -19,6 +19,7 @@ from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import IO, Any
 
+from touchdown.backend import devices
 from touchdown.backend.core import (
     Fault,
     FaultError,
@@ -26,17 +27,6 @@ from touchdown.backend.core import (
     RefusedError,
     StaleSampleError,
     TouchdownError,
-)
-from touchdown.backend.devices import (
-    Arm,
-    ConnectionSteps,
-    Device,
-    DeviceState,
-    ForceTorqueSensor,
-    Gripper,
-    HomingGripper,
-    Identity,
-    ReportsSlowness,
 )
 
 Message = dict[str, Any]
@@ -80,7 +70,7 @@ def receive(stream: IO[bytes]) -> Message | None:
     return message
 
 
-def as_row(value: Fault | Identity | None) -> Mapping[str, str] | None:
+def as_row(value: Fault | devices.Identity | None) -> Mapping[str, str] | None:
     """Return a fault or an identity as JSON."""
     return None if value is None else asdict(value)
 
@@ -136,17 +126,17 @@ Row = dict[str, Any]
 POSE_AGE_S = 0.2
 
 
-def device_row(device: Device) -> Row:
+def device_row(device: devices.Device) -> Row:
     """Return the quickly changing state of any device."""
     fault, steps = getattr(device, "fault", None), getattr(device, "steps", None)
     return {
         "state": device.state.value,
-        "steps": steps.done if isinstance(steps, ConnectionSteps) else 0,
+        "steps": steps.done if isinstance(steps, devices.ConnectionSteps) else 0,
         "fault": as_row(fault if isinstance(fault, Fault) else None),
     }
 
 
-def arm_row(arm: Arm) -> Row:
+def arm_row(arm: devices.Arm) -> Row:
     """Return the status, the turn of the hand and the joints; None where unknown."""
     status = arm.status()
     row = {
@@ -160,7 +150,7 @@ def arm_row(arm: Arm) -> Row:
         "turn": None,
         "joints": None,
     }
-    if arm.state is DeviceState.READY:
+    if arm.state is devices.DeviceState.READY:
         try:
             pose = arm.pose(POSE_AGE_S)
             row["turn"] = [pose.rx_rad, pose.ry_rad, pose.rz_rad]
@@ -171,7 +161,7 @@ def arm_row(arm: Arm) -> Row:
     return row
 
 
-def gripper_row(gripper: Gripper, homing: HomingGripper | None) -> Row:
+def gripper_row(gripper: devices.Gripper, homing: devices.HomingGripper | None) -> Row:
     """Return width, force, grip and the actions required from the operator. ``homing`` is the
     gripper if it needs homing.
     """
@@ -183,13 +173,13 @@ def gripper_row(gripper: Gripper, homing: HomingGripper | None) -> Row:
     }
 
 
-def sensor_row(sensor: ForceTorqueSensor) -> Row:
+def sensor_row(sensor: devices.ForceTorqueSensor) -> Row:
     """Return the device row with the rated range and the start of a low rate."""
-    slow_s = sensor.slow_since_s if isinstance(sensor, ReportsSlowness) else None
+    slow_s = sensor.slow_since_s if isinstance(sensor, devices.ReportsSlowness) else None
     return {**device_row(sensor), "rated": sensor.rated.tolist(), "slow_since_s": slow_s}
 
 
-def inspector_row(device: Device, now_s: float) -> Row:
+def inspector_row(device: devices.Device, now_s: float) -> Row:
     """Return the slowly changing fields: identity, health with its time, fields of the
     inspector.
     """

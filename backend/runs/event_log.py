@@ -22,41 +22,32 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend import core
 from touchdown.backend.config import Limits
-from touchdown.backend.core import (
-    DISK_TIMEOUT_S,
-    Event,
-    InputError,
-    append_line,
-    blocking_section,
-    disk_errors,
-    errors_as_input,
-    make_folder,
-    parse_json,
-    sync_folder,
-)
 
 FORMAT = 1
 # Events are recorded under the names of their classes.
-_RECORDED = {cls.__name__: cls for cls in Event.__subclasses__()}
+_RECORDED = {cls.__name__: cls for cls in core.Event.__subclasses__()}
 _DTYPES = {"float64", "float32", "bool", "uint8"}
 
 
-def encode_event(event: Event) -> dict[str, Any]:
+def encode_event(event: core.Event) -> dict[str, Any]:
     """Return ``event`` as a JSON-ready dictionary with its kind."""
     return {"kind": type(event).__name__, **_encode_fields(event)}
 
 
-def decode_event(line: dict[str, Any], where: str) -> Event:
+def decode_event(line: dict[str, Any], where: str) -> core.Event:
     """Return the event of a dictionary made by ``encode_event``; raises ``InputError``."""
     kind = line.get("kind")
     cls = _RECORDED.get(kind) if isinstance(kind, str) else None
     if cls is None:
-        raise InputError(f"Unknown event {kind!r}.", where, "Use a newer Touchdown to replay it.")
+        raise core.InputError(
+            f"Unknown event {kind!r}.", where, "Use a newer Touchdown to replay it."
+        )
     said, fix = f"Damaged event {kind}", "Replay the lines before."
-    with errors_as_input(said, where, fix, KeyError, TypeError, ValueError):
+    with core.errors_as_input(said, where, fix, KeyError, TypeError, ValueError):
         event = _build(cls, line)
-    assert isinstance(event, Event)
+    assert isinstance(event, core.Event)
     return event
 
 
@@ -137,31 +128,31 @@ class EventLog:
     """Event bus subscriber that appends every event to ``folder/journal.jsonl``."""
 
     def __init__(self, folder: Path) -> None:
-        make_folder(folder.parent)
+        core.make_folder(folder.parent)
         folder.mkdir(exist_ok=False)
         self.folder = folder
         self._append({"format": FORMAT, "program": "touchdown"})
-        sync_folder(folder.parent)
+        core.sync_folder(folder.parent)
 
-    def __call__(self, event: Event) -> None:
+    def __call__(self, event: core.Event) -> None:
         """Append ``event``; raises ``OSError``, then nothing is appended."""
         self._append(encode_event(event))
 
     def _append(self, line: dict[str, object]) -> None:
         raw = json.dumps(line, separators=(",", ":"), allow_nan=False).encode()
-        with blocking_section("waits for the disk", DISK_TIMEOUT_S):
-            append_line(self.folder / EVENT_LOG_NAME, raw)
+        with core.blocking_section("waits for the disk", core.DISK_TIMEOUT_S):
+            core.append_line(self.folder / EVENT_LOG_NAME, raw)
 
 
 def event_log_path(run: Path) -> Path:
     """Return the event log of a run folder, or the file itself; raises ``InputError``."""
     path = run / EVENT_LOG_NAME if run.is_dir() else run
     if not path.is_file():
-        raise InputError("There is no event log.", str(run), "Name the folder of a run.")
+        raise core.InputError("There is no event log.", str(run), "Name the folder of a run.")
     return path
 
 
-def read_events(run: Path) -> Iterator[Event]:
+def read_events(run: Path) -> Iterator[core.Event]:
     """Yield the events of a run in order.
 
     An incomplete last line (the program was killed while writing it) ends the log without an
@@ -190,21 +181,21 @@ def read_events(run: Path) -> Iterator[Event]:
                 return
             where = f"{path}, line {number}"
             if len(raw) > MAX_LINE_BYTES:
-                raise InputError("A line is too long.", where, "The event log is damaged.")
+                raise core.InputError("A line is too long.", where, "The event log is damaged.")
             try:
-                line = parse_json(raw)
+                line = core.parse_json(raw)
             except ValueError as error:
                 if number == 1:
-                    raise InputError(NO_LOG, where, NO_LOG_FIX) from error
+                    raise core.InputError(NO_LOG, where, NO_LOG_FIX) from error
                 fix = f"Keep the {number - 1} lines before it in a file of their own and replay it."
-                raise InputError("A line is not valid JSON.", where, fix) from error
+                raise core.InputError("A line is not valid JSON.", where, fix) from error
             if number > 1:
                 yield decode_event(line, where)
             elif not isinstance(line, dict) or line.get("program") != "touchdown":
-                raise InputError(NO_LOG, where, NO_LOG_FIX)
+                raise core.InputError(NO_LOG, where, NO_LOG_FIX)
             elif line.get("format") != FORMAT:
                 what = f"Event log format {line.get('format')} is not known."
-                raise InputError(what, where, "Use a newer Touchdown.")
+                raise core.InputError(what, where, "Use a newer Touchdown.")
 
 
 LIMIT_LOG_NAME = "limits.jsonl"
@@ -226,5 +217,5 @@ def log_limit_change(folder: Path, bench: str, person: str, before: Limits, afte
     }
     path = folder / LIMIT_LOG_NAME
     fix = "Make room or name another folder (TOUCHDOWN_DATA); the former limits hold."
-    with disk_errors("The change of limits cannot be written", path, fix):
-        append_line(path, json.dumps(line, allow_nan=False).encode())
+    with core.disk_errors("The change of limits cannot be written", path, fix):
+        core.append_line(path, json.dumps(line, allow_nan=False).encode())

@@ -46,7 +46,6 @@ from touchdown.backend.annotations.values import (
     Revision,
     Source,
     Verdict,
-    content_hash,
 )
 from touchdown.backend.core import FloatArray, InputError, RefusedError, SharedLock
 
@@ -213,13 +212,6 @@ class BulkPreview:
     change: BulkChange
     rows: tuple[BulkChangeRow, ...]
     refused: tuple[tuple[str, str], ...]
-
-    @property
-    def token(self) -> str:
-        """Hash of the change and of the heads."""
-        seen = [row.before.rev_uuid for row in self.rows]
-        return content_hash({"seen": seen, "change": {"kind": type(self.change).__name__}
-                             | asdict(self.change)})  # fmt: skip
 
 
 def _set_state(

@@ -15,7 +15,6 @@ from touchdown.backend.bench import assembly
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import (
     BENCH_FILE,
-    DriverObservations,
     TruthClient,
     longest_delay_s,
     processor_share,
@@ -141,13 +140,6 @@ class EmulatedBench:
         device_s = self._process.longest_delay_s(seconds)
         thread.join()
         return real_time_notice(device_s, *found)
-
-    def driver_observations(self) -> DriverObservations | None:
-        """Return the driver behaviour that the devices observed, None before the first scene.
-
-        Raises ``FaultError`` if the devices are gone.
-        """
-        return None if self._truth is None else self._truth.driver_observations()
 
     def __enter__(self) -> EmulatedBench:
         return self

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -502,14 +502,12 @@ def lab_toml(scene: Scene, emulation: Emulation) -> str:
 
 ANSWER_S = 2.0
 LONGEST = 4096
-TRUTH, SEEN, AFTER, STRIKE = b"?\n", b"seen\n", b"after ", b"strike "
+TRUTH, AFTER, STRIKE = b"?\n", b"after ", b"strike "
 TRUTH_FIELDS = ("offset_mm", "yaw_rad", "margin_mm", "stands", "slip_mm", "knocked_over", "kick_mm")
 
 
 class TruthServer(EmulatedDevice):
-    """Answers each line with a line of JSON: ground truth, driver observations or command travel;
-    starts a fault.
-    """
+    """Answers each line with a line of JSON: ground truth or command travel; starts a fault."""
 
     def __init__(self, emulated: EmulatedScene) -> None:
         self._emulated = emulated
@@ -525,8 +523,6 @@ class TruthServer(EmulatedDevice):
                 fault = json.loads(line[len(STRIKE) :])
                 self._emulated.faults[fault.pop("device")].inject(now_s, **fault)
                 answer += json.dumps(time.monotonic()).encode() + b"\n"
-            elif line == SEEN:
-                answer += json.dumps(asdict(self._emulated.driver_observations())).encode() + b"\n"
             elif line.endswith(b"\n"):
                 truth = self._emulated.truth()
                 fields = {name: getattr(truth, name) for name in TRUTH_FIELDS}
@@ -553,10 +549,6 @@ class TruthClient:
         answer = self._ask(TRUTH)
         x, y = answer.pop("offset_mm")
         return SceneTruth(offset_mm=(x, y), fall=None, **answer)
-
-    def driver_observations(self) -> DriverObservations:
-        """Return the driver observations; raises ``FaultError``."""
-        return DriverObservations(**self._ask(SEEN))
 
     def command_travel(self, since_s: float) -> tuple[float, float, float]:
         """Return ``command_travel`` since a monotonic time; raises ``FaultError``."""

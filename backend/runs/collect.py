@@ -215,8 +215,8 @@ def _saved_after(collector: Collector, dataset: Dataset, *, waits: bool) -> Plan
         fault = not_saved_fault(
             dataset.folder,
             "the plan of the campaign",
-            "Every probe and decision is safe; places given up after three refused probes are "
-            "tried again when it goes on.",
+            "Every probe and decision is safe; places given up after refused probes are tried "
+            "again when it goes on.",
             "then press Reset.",
         )
         raise core.FaultError(fault) from error

@@ -337,7 +337,7 @@ class Collector:
             )  # fmt: skip
             pending = yield from self._probe(bench, item, wanted, origin, first_mm)
             first_mm = pending.where.contact_mm if first_mm is None else first_mm
-            self._record(pending, replace(context, plan_item=item))
+            self._record(pending, replace(context, plan_item=item), settings.tries)
             if self.ask:
                 yield from self._settled(bench)
                 assert self._last is not None
@@ -386,8 +386,11 @@ class Collector:
         drift_mm = 0.0 if first_mm is None else abs(where.contact_mm - first_mm)
         return _PendingEpisode(pressed, item, where, drift_mm)
 
-    def _record(self, pending: _PendingEpisode, context: EpisodeContext) -> None:
-        """Pass the probe to the recorder; a rejected probe puts its item back into the plan."""
+    def _record(self, pending: _PendingEpisode, context: EpisodeContext, tries: int) -> None:
+        """Pass the probe to the recorder; a rejected probe puts its item back into the plan.
+
+        It is retried at once up to ``tries`` probes, then after all others, then dropped.
+        """
         self.recorder.record(pending.pressed.episode, pending.where.label(), context)
         self._pending = pending
         item = self.todo.popleft()
@@ -395,10 +398,9 @@ class Collector:
             self.seen = self.seen.with_offset(xy_mm(pending.where.offset_mm))
             return
         self._rejected[item] += 1
-        # Retry at once, then after all others, then drop the item.
-        if self._rejected[item] == 1:
+        if self._rejected[item] < tries:
             self.todo.appendleft(item)
-        elif self._rejected[item] == 2:
+        elif self._rejected[item] == tries:
             self.todo.append(item)
         else:
             self.campaign = self.campaign.without(item)

@@ -1,7 +1,6 @@
 """The first press in process and over the emulated wires, with a manual clock."""
 
 import json
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from touchdown.backend.bench.emulated_scene import (
     REST_ROWS,
     BenchFrame,
     DriverMonitor,
-    DriverObservations,
     SceneDynpick,
     SceneWsg,
     TruthServer,
@@ -334,12 +332,10 @@ def test_a_motion_asked_of_a_gripper_in_a_fault_is_seen(melfa):
     assert gripper.barred == 1
 
 
-def test_truth_and_witness_are_told_line_by_line(melfa):
-    seen = DriverObservations(0.1, 0.0, 1, 0, 8.0)
+def test_two_questions_in_one_packet_are_answered_line_by_line():
+    class Moved:
+        def command_travel(self, since_s):
+            return since_s, 0.0, 2.0
 
-    class Joined:
-        def driver_observations(self):
-            return seen
-
-    observations = TruthServer(Joined()).receive(0.0, b"seen\nseen\n")
-    assert [json.loads(line) for line in observations.splitlines()] == [asdict(seen)] * 2
+    answers = TruthServer(Moved()).receive(0.0, b"after 1.5\nafter 2.5\n")
+    assert [json.loads(line) for line in answers.splitlines()] == [[1.5, 0.0, 2.0], [2.5, 0.0, 2.0]]

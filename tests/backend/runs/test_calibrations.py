@@ -211,6 +211,22 @@ def test_what_was_deleted_or_rejected_is_neither_done_nor_left_out():
     assert list(resumed.todo) == [1, 2]
 
 
+@pytest.mark.parametrize("tries", [1, 2, 3])
+def test_a_place_of_rejected_probes_is_tried_as_the_settings_say(tries):
+    working, pressed = collector(), []
+    working.recorder = SimpleNamespace(record=lambda *_: None)
+    method = StackSettings.model_validate({"collect": {"tries": tries}})
+    where: Any = SimpleNamespace(label=lambda: None, offset_mm=np.zeros(2))
+    while working.todo:
+        pressed.append(working.todo[0])
+        quality = SimpleNamespace(accepted=pressed[-1] != 0)
+        probe: Any = SimpleNamespace(episode=SimpleNamespace(quality=quality))
+        pending: Any = SimpleNamespace(pressed=probe, where=where)
+        working._record(pending, None, method.collect.tries)
+    assert pressed == [0] * tries + [1, 2, 3, 0]
+    assert working.campaign.skipped == (0, 4)
+
+
 SURFACE_MM = 30.0
 
 

@@ -326,7 +326,7 @@ def collect(tmp_path, monkeypatch):
             felt = PressedProbe(make_episode(7, frames=1), 1, bench.now_s(), 0.0)
             where = MeasuredOffset(np.array([1.0, -2.0]), 0.1, 20.0)
             context = replace(context, grip_id=f"{context.mounting_id}/grip-1", plan_item=0)
-            self._record(collecting._PendingEpisode(felt, 0, where, 0.0), context)
+            self._record(collecting._PendingEpisode(felt, 0, where, 0.0), context, 2)
             yield from goes_on(self, bench)
             return True
 

@@ -6,7 +6,6 @@ No public source confirms the defaults. Drivers and emulators read the same sett
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -107,7 +106,7 @@ class ForceSensorSettings(Settings):
 class MelfaSettings(DeviceSettings):
     """Arm and controller."""
 
-    retired = frozenset({"mxt_in_fsc"})
+    retired = frozenset({"mxt_in_fsc", "flags", "force_variable_text"})
 
     # "melfa", "ur", or the name of an entry point.
     driver: Annotated[str, Field(min_length=1)] = "melfa"
@@ -124,15 +123,11 @@ class MelfaSettings(DeviceSettings):
     arm_lag_ms: NonNegative = 10.0
     sensor_lag_ms: NonNegative = 16.0  # age of a wrench sample on arrival: adapter, line, filter
     euler: Literal["Rz(C) Ry(B) Rx(A)", "Rx(A) Ry(B) Rz(C)"] = "Rz(C) Ry(B) Rx(A)"
-    # Bits of Right, Above, NonFlip in the first structure flag.
-    flags: tuple[Count, Count, Count] = (4, 2, 1)
     # Compliance in a press by this computer over the stream, or by the controller.
     stiffness_mode: Literal["software", "controller"] = "software"
     servo_delay_s: NonNegative = 2.0
     servo_timeout_s: Positive = 10.0
     override_start: Annotated[int, Field(ge=1, le=100)] = 10
-    # Regular expression of the reply; its one group holds the six numbers.
-    force_variable_text: str = r"P_FsCurD=\((.+)\)\([0-9]+,[0-9]+\)"
     probe_force_limit_n: Positive = 30.0
     probe_margin_s: Positive = 2.0
     monitor: MonitorSettings = MonitorSettings()
@@ -140,24 +135,6 @@ class MelfaSettings(DeviceSettings):
     r3: R3Settings = R3Settings()
     fsc: ForceControlSettings = ForceControlSettings()
     fs: ForceSensorSettings = ForceSensorSettings()
-
-    @field_validator("flags")
-    @classmethod
-    def _three_different_bits(cls, bits: tuple[int, int, int]) -> tuple[int, int, int]:
-        if sorted(bits) != [1, 2, 4]:
-            raise ValueError("the bits must be 4, 2 and 1, each once")
-        return bits
-
-    @field_validator("force_variable_text")
-    @classmethod
-    def _one_group(cls, text: str) -> str:
-        try:
-            groups = re.compile(text).groups
-        except re.error as error:
-            raise ValueError(f"not a regular expression: {error}") from error
-        if groups != 1:
-            raise ValueError("exactly one group, around the six numbers, is required")
-        return text
 
 
 class UrSettings(Settings):
@@ -182,7 +159,7 @@ class UrSettings(Settings):
 class WsgSettings(DeviceSettings):
     """Gripper; the ranges apply only if the gripper does not report its own."""
 
-    retired = frozenset({"bad_crc_reply", "grasp_force_parameter"})
+    retired = frozenset({"bad_crc_reply", "grasp_force_parameter", "temperature"})
 
     driver: Annotated[str, Field(min_length=1)] = "wsg"  # "wsg", or the name of an entry point
     protocol: Literal["binary", "gcl"] = "binary"
@@ -198,7 +175,6 @@ class WsgSettings(DeviceSettings):
     grasp_speed_mm_s: Positive = 50.0
     # Commanded force: "device" sum over both fingers, "finger" each.
     force_convention: Literal["device", "finger"] = "device"
-    temperature: Literal["i16, 0.1 degC"] = "i16, 0.1 degC"
     # True if a piece stays held after an announced disconnect. Otherwise no disconnect is announced
     # while a piece is held, and the fast stop of the gripper keeps it.
     keeps_grip_after_07: bool = True

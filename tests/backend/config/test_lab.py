@@ -78,7 +78,7 @@ def test_a_version_that_nobody_knows_is_refused(tmp_path, version):
         ("[limits]\nspeed = 1.0\n", "limits.speed"),
         ("[mounting]\npayload_kg = -1.0\n", "mounting.payload_kg"),
         ("[serials]\ncamera = 'x'\n", "serials.camera"),
-        ("[melfa]\nflags = [4, 4, 1]\n", "melfa.flags"),
+        ("[melfa]\nidle_check_s = -1.0\n", "melfa.idle_check_s"),
         ("piece = 3\n", "piece"),
     ],
 )
@@ -200,7 +200,8 @@ def test_a_lab_file_with_settings_that_were_removed_still_opens(path):
     monitor = {"type_robmon": 902, "type_pose": 903, "type_joint": 904, "type_force": 901}
     force_control = {"limited_stiffness_mode": 4, "off_on_reset": False}
     melfa = {"mxt_in_fsc": True, "monitor": monitor, "mxt": {"lost_limit": 7}, "fsc": force_control}
-    wsg = {"bad_crc_reply": "none", "grasp_force_parameter": False}
+    melfa |= {"flags": [4, 2, 1], "force_variable_text": "(.+)"}
+    wsg = {"bad_crc_reply": "none", "grasp_force_parameter": False, "temperature": "i16, 0.1 degC"}
     tables = {"melfa": melfa, "wsg": wsg, "netft": {"onrobot_commands": [130, 131]}}
     assert HardwareSettings.model_validate(tables).melfa.monitor.type_force == 901
 

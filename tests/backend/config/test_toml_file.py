@@ -66,9 +66,6 @@ def test_placeholders_are_called_so():
     ("content", "key"),
     [
         ({"melfa": {"mxt": {"step_fraction": 1.5}}}, "melfa.mxt.step_fraction"),
-        ({"melfa": {"flags": [4, 4, 1]}}, "melfa.flags"),
-        ({"melfa": {"force_variable_text": "("}}, "melfa.force_variable_text"),
-        ({"melfa": {"force_variable_text": "(a)(b)"}}, "melfa.force_variable_text"),
         ({"melfa": {"override_start": 0}}, "melfa.override_start"),
         ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}}, "ft.rotation"),
         ({"ft": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "ft.rotation"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,7 +52,7 @@ class CalibratePresenter:
         theme: Theme,
         window: QWidget,
         cards: FaultCards,
-        person: Callable[[], str] = getpass.getuser,
+        person: Callable[[], str] = core.account_name,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._bench, self._theme, self._window, self._cards = bench, theme, window, cards

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QWidget
 from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
 from touchdown.backend.config import Limits
+from touchdown.backend.core import account_name
 from touchdown.backend.runs import changed_limits
 from touchdown.widgets.base import label, rule, tr
 from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
@@ -157,7 +157,7 @@ class LimitsPresenter:
         bench: Session,
         window: QWidget,
         cards: FaultCards,
-        person: Callable[[], str] = getpass.getuser,
+        person: Callable[[], str] = account_name,
     ) -> None:
         self._bench, self._window, self._cards, self._person = bench, window, cards, person
         self._first = bench.interlock.limits

@@ -7,7 +7,6 @@ ends.
 from __future__ import annotations
 
 import errno
-import getpass
 import json
 import os
 import shutil
@@ -21,7 +20,7 @@ from typing import Self
 
 import psutil
 
-from touchdown.backend.core import InputError, lock_file, make_folder, parse_json
+from touchdown.backend.core import InputError, account_name, lock_file, make_folder, parse_json
 
 # error numbers of a full disk or an exhausted quota
 DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -162,7 +161,8 @@ class WriterLock:
         except OSError as error:
             raise ReadOnlyFolderError(folder, error) from error
         now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
-        me = WriterInfo(person or _account(), os.getpid(), socket.gethostname(), now)
+        writer = person or account_name() or "someone"
+        me = WriterInfo(writer, os.getpid(), socket.gethostname(), now)
         with suppress(OSError):  # a full disk: the lock holds without the name
             os.ftruncate(descriptor, 0)
             os.write(descriptor, json.dumps(asdict(me)).encode("utf-8"))
@@ -180,10 +180,3 @@ def lock_holder(folder: Path) -> WriterInfo | None:
         return WriterInfo(**parse_json((folder / LOCK_NAME).read_text("utf-8")))
     except (OSError, ValueError, TypeError):
         return None
-
-
-def _account() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError, ImportError):
-        return "someone"

@@ -7,7 +7,6 @@ from its own trials; nothing moves. ``touchdown check-day`` is the daily check.
 from __future__ import annotations
 
 import argparse
-import getpass
 import json
 import math
 import shlex
@@ -28,7 +27,7 @@ from touchdown.backend.calibration import (
     quantity_name,
 )
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, without_window
+from touchdown.backend.cli.output import VerbOutput, person_of, without_window
 from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
@@ -116,6 +115,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     store = _store_of(args)
     if what == "day" or args.accept:
         store.check_writable()  # before the robot measures for minutes
+    if args.accept:
+        person_of(args)
     # A new gel must be connected to be calibrated.
     keep, any_gels = RecordingOptions(None), args.what == "camera"
     bench = connection.open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
@@ -172,8 +173,7 @@ def _report(
         screen.say(told.ended.reason)
     if found is not None and args.accept and found.acceptable:
         assert session.calibrations is not None
-        person = args.person or getpass.getuser()
-        path = accept_calibration(session.calibrations, found, session.devices, person)
+        path = accept_calibration(session.calibrations, found, session.devices, person_of(args))
         screen.say(f"Accepted: {path}")
     elif found is not None:
         screen.say(_verdict(found))

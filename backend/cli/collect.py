@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import sys
 from contextlib import ExitStack
 from importlib.resources import files
@@ -13,7 +12,7 @@ from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, progress_lines
+from touchdown.backend.cli.output import VerbOutput, person_of, progress_lines
 from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
@@ -79,7 +78,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
-    person = args.person or getpass.getuser()
+    person = person_of(args)
     with Dataset.open(
         folder, create=not args.resume, person=person, progress=progress_lines()
     ) as dataset:

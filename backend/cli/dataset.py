@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -20,7 +19,7 @@ from touchdown.backend.annotations import (
     rebuild_dataset,
     restore_backup,
 )
-from touchdown.backend.cli.output import VerbOutput, progress_lines
+from touchdown.backend.cli.output import VerbOutput, person_of, progress_lines
 from touchdown.backend.core import InputError
 from touchdown.backend.runs import dataset_folder
 
@@ -49,7 +48,7 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         for notice in dataset.notices:
             screen.say(notice)
         found, noted = dataset.verify(progress), dataset.writable
-        resolved = dataset.resolve(_person(args)) if args.resolve else []
+        resolved = dataset.resolve(person_of(args)) if args.resolve else []
         closed = [f"{one.kind} {one.target}" for one in resolved]
         found = [one for one in found if f"{one.kind} {one.target}" not in closed]
         count = sum(one.episodes for one in dataset.count_by_pair() if one.state != "deleted")
@@ -77,7 +76,7 @@ def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         aside = restore_backup(folder, args.other)
     with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
         notices = dataset.notices
-        dataset.resolve(_person(args), "replay")
+        dataset.resolve(person_of(args), "replay")
     for line in (*notices, f"Restored from {args.other}; the previous catalogue: {aside}."):
         screen.say(line)
     answer = {"dataset": str(folder), "restored": str(args.other), "former": str(aside)}
@@ -164,7 +163,7 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Merge labels and episodes of another copy of the dataset."""
-    person = _person(args)
+    person = person_of(args)
     with Dataset.open(folder, create=False, person=person, progress=progress_lines()) as dataset:
         notices = dataset.notices
         done = dataset.merge(person, args.other)
@@ -177,10 +176,6 @@ def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     counts = {"operations": done.operations, "episodes": done.episodes}
     screen.result({**answer, **counts, "conflicts": list(done.conflicts)})
     return 0
-
-
-def _person(args: argparse.Namespace) -> str:
-    return str(args.person or getpass.getuser())
 
 
 DatasetAction = Callable[[argparse.Namespace, Path, VerbOutput], int]

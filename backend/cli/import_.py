@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 from pathlib import Path
 
 from touchdown.backend import exchange, experiments
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.cli.output import VerbOutput, progress_lines
+from touchdown.backend.cli.output import VerbOutput, check_output, person_of, progress_lines
 from touchdown.backend.core import InputError, Recording, write_atomically
 from touchdown.backend.runs import dataset_folder
 
@@ -54,6 +53,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError("A mapping file is missing.", "--map", "Name it; see docs/exchange.md.")
     if args.map is not None and args.format not in EPISODES:
         raise InputError(f"{args.format} needs no mapping file.", "--map", "Remove it.")
+    if args.preview:
+        check_output(args.preview, ".html", args.source)
     if args.map is not None and not args.map.exists():
         text = exchange.propose_mapping(exchange.recording_contents(args.source))
         write_atomically(args.map, text.encode("utf-8"))
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if args.format in LABELS and not args.person:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
-    actor = args.person or getpass.getuser()
+    actor = person_of(args)
     with Dataset.open(
         folder, create=args.format in EPISODES, person=actor, progress=progress_lines()
     ) as dataset:

@@ -34,7 +34,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from touchdown.backend.core import InputError, write_atomically
+from touchdown.backend.core import InputError, account_name, write_atomically
 
 AdvanceFunction = Callable[..., None]
 JSON_VERSION = 1  # of the objects of all verbs
@@ -240,6 +240,22 @@ def without_window(text: str, lab: str = "") -> str:
 
         text = re.sub(step, replaced, text)
     return text
+
+
+def person_of(args: argparse.Namespace) -> str:
+    """Return ``--person`` or the account's name; raises ``InputError`` if there is neither."""
+    if not (person := args.person or account_name()):
+        raise InputError("This account has no name.", "--person", "Name the person.")
+    return str(person)
+
+
+def check_output(path: Path, suffix: str, *inputs: Path | None) -> None:
+    """Raise ``InputError`` unless ``path`` ends with ``suffix`` and is none of ``inputs``."""
+    if path.suffix != suffix:
+        fix = f"Name a file that ends with {suffix}."
+        raise InputError("This file is of another kind than the output.", str(path), fix)
+    if path.resolve() in [file.resolve() for file in inputs if file is not None]:
+        raise InputError("The output would replace an input.", str(path), "Name another file.")
 
 
 def write_new(path: Path, text: str) -> None:

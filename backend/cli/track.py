@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, check_output
 from touchdown.backend.core import GRID_COLS, GRID_ROWS, InputError, MarkerState, RefusedError
 from touchdown.backend.sensing import (
     DEFAULT_RATE_HZ,
@@ -60,6 +60,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError(
             "There is no reference to check.", "--template", "Name the rest images: --reference."
         )
+    if args.overlay:
+        check_output(args.overlay, ".mp4", args.file, args.reference, args.template)
     reference = rest_reference(args.reference, args.template) if args.reference else None
     tracked: list[TrackedImage] = []
     with ExitStack() as stack:

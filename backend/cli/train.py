@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from touchdown.backend.cli.experiment import add_device, add_executor_arguments, run_jobs
-from touchdown.backend.cli.output import VerbOutput, progress_lines
+from touchdown.backend.cli.output import VerbOutput, check_output, progress_lines
 from touchdown.backend.config import TrainingSettings
 from touchdown.backend.core import InputError, disk_errors, make_folder
 from touchdown.backend.jobs import JobStore
@@ -163,10 +163,12 @@ def _training_job(args: argparse.Namespace, **changed: object) -> TrainingJob:
 
     options = ("labels", "resume", "threads", "device", "pretrained", "mix", "mix_share")
     stem = f"{args.pretrained.stem}-tuned" if args.pretrained else args.piece or "model"
+    out = args.out or Path(f"{stem}.safetensors")
+    check_output(out, ".safetensors")
     return make_training_job(
         args.data,
         args.piece,
-        args.out or Path(f"{stem}.safetensors"),
+        out,
         {name: getattr(args, name) for name in SWEPT} | changed,
         **{name: getattr(args, name) for name in options},
     )

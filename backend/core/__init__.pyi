@@ -51,6 +51,7 @@ from .faults import RefusedError as RefusedError
 from .faults import StaleSampleError as StaleSampleError
 from .faults import TouchdownError as TouchdownError
 from .files import __version__ as __version__
+from .files import account_name as account_name
 from .files import append_line as append_line
 from .files import check_writable as check_writable
 from .files import config_folder as config_folder

@@ -6,6 +6,7 @@ A file is either complete or absent. The system releases a lock when its process
 from __future__ import annotations
 
 import errno
+import getpass
 import json
 import os
 import sys
@@ -39,9 +40,21 @@ def config_folder() -> Path:
 
 
 def _operator_folder(chosen: str, base: str, usual: str) -> Path:
-    if named := os.environ.get(chosen):
-        return Path(named)
-    return Path(os.environ.get(base) or Path.home() / usual) / "touchdown"
+    try:
+        if named := os.environ.get(chosen):
+            return Path(named).expanduser()
+        return Path(os.environ.get(base) or Path.home() / usual) / "touchdown"
+    except RuntimeError as error:
+        fix = f"Name a folder in the variable {chosen}."
+        raise InputError("The home folder of this account is unknown.", chosen, fix) from error
+
+
+def account_name() -> str:
+    """Return the name of the account, "" if it has none, such as a bare number in a container."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return ""
 
 
 def sync_folder(folder: Path) -> None:

@@ -209,6 +209,8 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
     if isinstance(states, str) or not set(states) <= set(EXPORT_STATES):
         use = f"Give a tuple of names from: {', '.join(EXPORT_STATES)}."
         raise InputError(f"Labels cannot be chosen by {states!r}.", "--states", use)
+    if seed < 0:
+        raise InputError(f"The seed {seed} is negative.", "--seed", "Give 0 or a positive number.")
     query = ExportQuery(
         piece, bottom, series, campaign, tuple(states), held_out, seed, divide_series
     )

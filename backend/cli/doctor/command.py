@@ -391,6 +391,12 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     from touchdown.backend.cli.dataset import examine_only
     from touchdown.backend.runs import dataset_folder
 
+    if args.bench is not None and args.dataset is not None:
+        fix = "Check them one after the other."
+        raise InputError("A bench and a dataset are separate checks.", "--bench, --dataset", fix)
+    if (args.with_pictures or args.with_names) and args.bundle is None:
+        what, where = "These belong to a problem report.", "--with-pictures, --with-names"
+        raise InputError(what, where, "Add --bundle FILE.zip.")
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()
         return examine_only(folder, screen)

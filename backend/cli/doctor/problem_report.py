@@ -6,7 +6,6 @@ named in the archive and do not end the report.
 
 from __future__ import annotations
 
-import getpass
 import io
 import json
 import os
@@ -21,6 +20,7 @@ from pathlib import Path
 from touchdown.backend.cli.replay import find_run
 from touchdown.backend.core import (
     InputError,
+    account_name,
     config_folder,
     data_folder,
     program_stamp,
@@ -127,8 +127,7 @@ def _people(texts: Iterable[str]) -> set[str]:
 def _redaction(texts: Iterable[str]) -> Callable[[str], str]:
     words = {person: f"<person {n}>" for n, person in enumerate(sorted(_people(texts)), start=1)}
     words |= {platform.node(): "<computer>", str(Path.home()): "~"}
-    with suppress(KeyError, OSError):
-        words[getpass.getuser()] = "<account>"
+    words[account_name()] = "<account>"
     forms = dict[str, str]()
     for word, new in words.items():
         for _ in range(3):  # as it is, in JSON, in a text inside JSON

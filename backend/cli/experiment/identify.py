@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from touchdown.backend.cli.experiment.executors import add_executor_arguments, run_jobs
-from touchdown.backend.cli.output import VerbOutput, progress_lines
-from touchdown.backend.config import load_simulation
+from touchdown.backend.cli.output import VerbOutput, check_output, progress_lines
+from touchdown.backend.config import is_lab_file, load_simulation
 from touchdown.backend.core import InputError, disk_errors, program_version
 from touchdown.backend.experiments import identify_dataset
 from touchdown.backend.jobs import JobSpec, JobStore
@@ -48,6 +48,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         fix = "Give each dataset a folder of another name."
         raise InputError("Two datasets have one name.", "DATASET", fix)
     files = files if several else [out]
+    for file in files:
+        check_output(file, ".toml", args.bench and Path(args.bench))
+        if file.is_file() and is_lab_file(file):
+            raise InputError("This lab file would be replaced.", str(file), "Name another file.")
     pieces = str(Path(args.pieces).resolve()) if args.pieces else None
     jobs = [
         JobSpec("identify", {

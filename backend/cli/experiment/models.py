@@ -43,6 +43,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     answer: dict[str, object] = {}
     counts = (key for key, value in vars(args).items() if type(value) is int and key != "seed")
     require_positive(args, *counts)
+    require_positive(args, "seed", least=0)
     library = load_pieces(args.pieces_dir)
     pieces = [library.top(name).name for name in args.pieces.split(",")]
     make_folder(args.out)

@@ -331,6 +331,7 @@ def test_an_edited_table_without_its_manifest(exchange, say, tmp_path) -> None:
     [
         (("export", "csv", "--out", "{tmp}/o", "--states", "perfect"), "--states"),
         (("export", "csv", "--out", "{tmp}/o", "--held-out", "1"), "--held-out"),
+        (("export", "csv", "--out", "{tmp}/o", "--seed", "-1"), "--seed"),
         (("export", "csv", "--out", "{tmp}/o", "--piece", "barrel"), "barrel"),
         (("export", "csv", "--out", "{tmp}/o", "--video", "all"), "--video"),
         (("export", "gif", "--out", "{tmp}/o"), "export"),
@@ -818,6 +819,35 @@ def test_an_unknown_network_is_an_error_that_lists_the_names(tmp_path, capsys) -
     assert error["where"] == str(method)
     for part in ("'fused.weights'", "'anny'", "'any'", "'wrench'", ".safetensors"):
         assert part in error["what"]
+
+
+@pytest.mark.parametrize(
+    ("words", "where", "what"),
+    [
+        ("import mcap {own} --map {new} --preview {own}", "own.mcap", "another kind"),
+        ("track {own} --overlay {own}", "own.mcap", "another kind"),
+        ("track {film} --overlay {film}", "film.mp4", "would replace"),
+        ("train {tmp} --out {own}", "own.mcap", "another kind"),
+        ("identify {tmp} --out {lab}", "lab.toml", "would be replaced"),
+        ("identify {tmp} --bench {bench} --out {bench}", "bench.toml", "would replace"),
+        ("doctor --dataset {tmp} --bench {bench}", "--bench, --dataset", "separate"),
+        ("doctor --with-names", "--with-pictures, --with-names", "problem report"),
+        ("models --seed -1 --out {new}", "--seed", "at least 0"),
+    ],
+)
+def test_an_output_replaces_no_input_and_no_file_of_another_kind(
+    words, where, what, tmp_path, capsys
+):
+    files = {"own": "own.mcap", "film": "film.mp4", "lab": "lab.toml", "bench": "bench.toml"}
+    paths = {name: tmp_path / file for name, file in files.items()}
+    for name, path in paths.items():
+        path.write_text({"lab": "kind = 'hardware'"}.get(name, ""), "utf-8")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main([*words.format(tmp=tmp_path, new=tmp_path / "new", **paths).split(), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert error["where"].endswith(where)
+    assert what in error["what"]
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 INTERRUPTING = """

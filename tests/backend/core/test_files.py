@@ -21,6 +21,7 @@ from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import read_journal
 from touchdown.backend.annotations.storage import ReadOnlyFolderError
 from touchdown.backend.calibration.records import read_record
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
 from touchdown.backend.config import load_lab, load_simulation
 from touchdown.backend.core import files
@@ -257,3 +258,24 @@ def test_a_missing_package_of_an_extra_is_named_with_its_line():
     with pytest.raises(InputError, match="'no_such_package' is not installed") as caught:
         files.require_package("no_such_package.part", "cad")
     assert "pip install 'touchdown[cad]'" in caught.value.fix
+
+
+def test_an_account_without_a_name_or_a_home_is_one_error(tmp_path, monkeypatch, capsys):
+    def unknown(number: object) -> None:
+        raise KeyError(number)
+
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME", "HOME", "XDG_DATA_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    words = ["collect", "--count", "1", "--dataset", str(tmp_path / "probes")]
+    assert main(words) == 2
+    assert "This account has no name." in capsys.readouterr().err
+    monkeypatch.delenv("TOUCHDOWN_DATA", raising=False)
+    assert main(["dataset"]) == 2
+    assert "The home folder of this account is unknown." in capsys.readouterr().err
+
+
+def test_a_data_folder_may_start_with_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("TOUCHDOWN_DATA", "~/probes")
+    assert files.data_folder() == tmp_path / "probes"

@@ -221,12 +221,11 @@ class PressSet:
     (B, 20, 6) and ``field_px`` (B, 20, 2, 63, 2) at the ticks, less their means in air; ``seen``
     (B, 20, 2, 63). ``air_wrench``, ``air_sd`` (B, 6) and ``air_px`` (B, 2, 2): mean and standard
     deviation in air after tare and reference. ``contact_mm`` (B,): height of the hand at the onset.
-    ``grip``, ``mounting`` (B,): numbers of the names in ``grips`` and ``mountings``.
+    ``grip``, ``mounting`` (B,): numbers of the names in ``grips``, and of the mountings.
     """
 
     recordings: tuple[PressRecording, ...]
     grips: tuple[str, ...]
-    mountings: tuple[str, ...]
     grip: NDArray[np.intp]
     mounting: NDArray[np.intp]
     offset_mm: FloatArray
@@ -275,7 +274,6 @@ def sample_presses(presses: Sequence[PressRecording], delays: Delays) -> PressSe
     return PressSet(
         recordings=tuple(kept),
         grips=grips,
-        mountings=mountings,
         grip=np.array([grips.index(press.grip) for press in kept]),
         mounting=np.array([mountings.index(press.mounting) for press in kept]),
         offset_mm=np.stack([press.offset_mm for press in kept]),

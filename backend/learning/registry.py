@@ -218,11 +218,6 @@ class ModelRegistry:
         counts = [e.get("probes") for e in lines if e.get("weights_sha256") == weights_sha256]
         return max((n for n in counts if isinstance(n, int)), default=0)
 
-    def card(self, piece: str) -> ModelCard | None:
-        """Return the card of the model in use, None for the shipped one."""
-        path = self.in_use(piece)
-        return None if path is None else load_card(path)
-
     def _weights(self, piece: str, sha256: str) -> Path:
         return self.folder / piece / f"{sha256}.safetensors"
 

@@ -120,7 +120,6 @@ def made_set(offsets_mm, motion_mm, *, piece="mushroom", bottom="circle15", grip
     return PressSet(
         recordings,
         tuple(f"g{g}" for g in np.unique(grip)),
-        ("m0",),
         grip,
         mounting=np.zeros(count, int),
         offset_mm=np.array(offsets_mm, float),

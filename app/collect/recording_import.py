@@ -26,7 +26,7 @@ from touchdown.widgets.base import Theme, count_noun, hbox, label, set_property,
 from touchdown.widgets.lists import FigureTable
 from touchdown.widgets.plots import CurveLine, SignalPlot
 
-COLUMNS = ("source", "type", "numbers", "messages", "per s")
+COLUMNS = ("source", "type", "numbers", "per s")
 PLOTS = ("Force", "Moment", "Hand from contact", "Markers, left", "Markers, right")
 # Row, column and width of the findings of a signal, below its plots.
 SIGNALS = {"wrench": (1, 0, 2), "pose": (1, 2, 1), "left": (3, 0, 1), "right": (3, 1, 1)}
@@ -61,8 +61,8 @@ class RecordingSheet(BenchSheet):
         self.correct.setToolTip(tr("Set the values to try, and look at the preview again"))
         self.file, self.note = label(NO_FILE, wrap=True), label("", wrap=True)
         self.contents = FigureTable(theme, "Signals of the recording", COLUMNS)
-        self.contents.empty = "No recording yet"
-        self.mapping = QPlainTextEdit(lineWrapMode=QPlainTextEdit.LineWrapMode.NoWrap)
+        self.contents.empty, self.contents.elided = "No recording yet", True
+        self.mapping = QPlainTextEdit()
         self.mapping.setAccessibleName(tr("Mapping"))
         self.plots = {title: SignalPlot(theme, title) for title in PLOTS}
         self.findings = {name: label("", "small", wrap=True) for name in SIGNALS}
@@ -138,8 +138,8 @@ class RecordingSheet(BenchSheet):
     def _arrange(self) -> None:
         left = vbox(
             label("Import recordings", "head"), hbox(self.choose, self.choose_folder, 1),
-            self.file, (self.contents, 2),
-            label("Mapping", "title"), (self.mapping, 5),
+            self.file, (self.contents, 3),
+            label("Mapping", "title"), (self.mapping, 4),
         )  # fmt: skip
         grid = QGridLayout()
         for at, plot in enumerate(self.plots.values()):
@@ -173,8 +173,7 @@ class RecordingSheet(BenchSheet):
 
     def _list(self, contents: list[exchange.RecordedSignal]) -> None:
         self.contents.show_rows([
-            (one.name, one.kind.rpartition("/")[2], f"{one.numbers or ''}", f"{one.messages:,}",
-             f"{one.rate_hz:.1f}")
+            (one.name, one.kind.rpartition("/")[2], f"{one.numbers or ''}", f"{one.rate_hz:.1f}")
             for one in contents
         ])  # fmt: skip
         self.mapping.setPlainText(exchange.propose_mapping(contents))
@@ -244,4 +243,7 @@ class RecordingSheet(BenchSheet):
         proposed = self._found is not None and bool(self._found[1].proposed) and not self._busy
         self.correct.setEnabled(proposed)
         set_property(self.correct, "role", "primary" if proposed and not can_add else "")
-        set_property(self.preview, "role", "" if can_add or proposed else "primary")
+        first = self.preview if self._source.name else self.choose
+        for button in (self.choose, self.preview):
+            is_next = button is first and not can_add and not proposed
+            set_property(button, "role", "primary" if is_next else "")

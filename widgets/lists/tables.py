@@ -158,9 +158,10 @@ class FigureTable(QTableWidget):
     """Table of texts; all columns but the first are right-aligned figures.
 
     ``empty`` is the text shown while there are no rows. A row that begins with a cross is red.
+    ``elided``: the first column is elided where there is no room.
     """
 
-    empty = ""
+    empty, elided = "", False
 
     def __init__(self, theme: Theme, name: str, columns: Sequence[str]) -> None:
         super().__init__(0, len(columns))
@@ -177,11 +178,11 @@ class FigureTable(QTableWidget):
         self._fit_first()
 
     def _fit_first(self) -> None:
-        """Give the first column the free width; the table scrolls where there is none."""
+        """Give the first column the free width; without ``elided`` the table scrolls otherwise."""
         mode, head = QHeaderView.ResizeMode, self.horizontalHeader()
         columns = range(self.columnCount())
         px = sum(max(head.sectionSizeHint(at), self.sizeHintForColumn(at)) for at in columns)
-        fits = px <= self.viewport().width()
+        fits = self.elided or px <= self.viewport().width()
         head.setSectionResizeMode(0, mode.Stretch if fits else mode.ResizeToContents)
 
     def show_columns(self, columns: Sequence[str]) -> None:

@@ -22,6 +22,7 @@ from touchdown.app.shell.errors import log_to
 from touchdown.backend.annotations.values import EpisodeFilter
 from touchdown.backend.core import Fault, Paused, PhaseEntered
 from touchdown.backend.episodes.quality import count_coverage
+from touchdown.backend.exchange import RecordedSignal
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState
 from touchdown.widgets.forms.collect_form import TargetForm
@@ -160,6 +161,20 @@ def look(page, sheet):
     QTest.mouseClick(sheet.preview, Qt.MouseButton.LeftButton)
     assert not sheet.preview.isEnabled()
     page._qtbot.waitUntil(sheet.preview.isEnabled, timeout=120_000)
+
+
+def test_signals_and_mapping_fit_without_scrolling_sideways(page, sheet, qtbot):
+    sheet.resize(1180, 600)
+    names = ("/lab_2/wrist/force_torque_sensor_broadcaster/wrench_filtered", "/tool_pose")
+    sheet._list([RecordedSignal(n, "geometry_msgs/msg/WrenchStamped", 9, 6, 250.0) for n in names])
+    qtbot.wait(1)
+    bars = (sheet.contents.horizontalScrollBar(), sheet.mapping.horizontalScrollBar())
+    assert [bar.maximum() for bar in bars] == [0, 0]
+    head = sheet.contents.horizontalHeader()
+    assert all(head.sectionSize(at) >= sheet.contents.sizeHintForColumn(at) for at in (1, 2, 3))
+    assert sheet.contents.item(0, 0).toolTip() == names[0]
+    assert sheet.preview.property("role") == "primary"
+    assert sheet.choose.property("role") == ""
 
 
 def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet, qtbot):

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QComboBox, QGridLayout, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLineEdit, QPushButton, QWidget
 
 from touchdown.app.shell import BenchSheet
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
-from touchdown.widgets.base import label, rule, scroll_area, set_property, tr
+from touchdown.widgets.base import add_items, hbox, label, rule, scroll_area, set_property, tr
 from touchdown.widgets.forms import field_label
 
 
@@ -23,7 +23,7 @@ class DeviceField:
     """One value of the lab file: dotted key, device and title.
 
     ``chosen``: shown as a list of choices; other values can be typed. ``empty``: meaning of an
-    empty value.
+    empty value. ``beside``: shown in the row of the field before it.
     """
 
     key: str
@@ -31,6 +31,7 @@ class DeviceField:
     title: str
     chosen: bool = False
     empty: str = ""
+    beside: bool = False
 
 
 class DevicesSheet(BenchSheet):
@@ -92,7 +93,7 @@ class DevicesSheet(BenchSheet):
     # -- inside -----------------------------------------------------------------------------------
 
     def _arrange(self, fields: Sequence[DeviceField]) -> None:
-        grid, device = QGridLayout(), ""
+        grid, row, device = QGridLayout(), QHBoxLayout(), ""
         grid.setHorizontalSpacing(16)
         grid.setVerticalSpacing(4)
         grid.setColumnStretch(2, 1)
@@ -104,11 +105,15 @@ class DevicesSheet(BenchSheet):
             else:
                 editor.setPlaceholderText(tr(one.empty))
             editor.setAccessibleName(f"{tr(one.device)}: {tr(one.title)}")
+            if one.beside:
+                add_items(row, field_label(one.title, editor), (editor, 1))
+                continue
             if one.device != device:
                 grid.addWidget(label(one.device, "title"), at, 0)
             device = one.device
             grid.addWidget(field_label(one.title, editor), at, 1)
-            grid.addWidget(editor, at, 2)
+            row = hbox((editor, 2), spacing=16)
+            grid.addLayout(row, at, 2)
         grid.setContentsMargins(0, 0, 8, 0)
         self._form.setLayout(grid)
         scroll = scroll_area(self._form)
@@ -134,11 +139,11 @@ FIELDS = (
     DeviceField(RIGHT, "Tactile R", "Serial number", chosen=True),
     DeviceField("wsg.driver", "Gripper", "Make", chosen=True),
     DeviceField("wsg.host", "Gripper", "Address"),
-    DeviceField("wsg.port", "Gripper", "Port"),
+    DeviceField("wsg.port", "Gripper", "Port", beside=True),
     DeviceField("serials.gripper", "Gripper", "Serial number expected", empty=ANY),
     DeviceField("melfa.driver", "Arm", "Make", chosen=True),
     DeviceField("melfa.host", "Arm", "Address"),
-    DeviceField("melfa.r3.port", "Arm", "Port of the commands"),
+    DeviceField("melfa.r3.port", "Arm", "Port of the commands", beside=True),
     DeviceField("serials.arm", "Arm", "Serial number expected", empty=ANY),
 )
 

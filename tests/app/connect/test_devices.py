@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QComboBox, QFileDialog, QLabel
+from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLabel, QScrollArea
 
 from tests.backend.rig.scripted import scripted
 from touchdown.app.__main__ import parser as start_parser
@@ -173,6 +173,16 @@ def test_the_sheet_leaves_stop_free_in_a_low_window(wizard) -> None:
     wizard.parentWidget().resize(1280, 720)
     wizard.resize_to_em(48, 60)
     assert wizard.height() <= wizard.parentWidget().height() - 128
+
+
+def test_all_rows_show_in_a_window_of_1280x720(wizard):
+    wizard.parentWidget().resize(1280, 720)
+    wizard.resize_to_em(48, 60)
+    QApplication.processEvents()
+    scroll = next(s for s in wizard.findChildren(QScrollArea) if s.widget() is wizard._form)
+    assert scroll.verticalScrollBar().maximum() == 0
+    host, port = wizard.editors["wsg.host"], wizard.editors["wsg.port"]
+    assert (host.geometry().top(), host.width() > port.width()) == (port.geometry().top(), True)
 
 
 def test_start_again_opens_the_saved_file_in_a_new_program(wizard, main, file, tmp_path):

@@ -129,11 +129,6 @@ class Prefetcher(Generic[Item]):
             self._items.clear()
             self._changed.notify()
 
-    def held(self) -> tuple[str, ...]:
-        """Return the ids of the items in memory."""
-        with self._changed:
-            return tuple(self._items)
-
     def close(self) -> None:
         """End the thread."""
         with self._changed:

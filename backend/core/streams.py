@@ -23,11 +23,6 @@ T = TypeVar("T")
 FRAME_CAPACITY, SAMPLE_CAPACITY = 192, 60_000
 
 
-def _require_fresh(name: str, age_s: float, max_age_s: float) -> None:
-    if not age_s <= max_age_s:
-        raise StaleSampleError(f"{name}: newest sample is {1e3 * age_s:.0f} ms old")
-
-
 class Stream(Generic[T]):
     """Keeps the newest ``capacity`` items for one writer and any number of readers."""
 
@@ -52,15 +47,6 @@ class Stream(Generic[T]):
         """Return the newest item regardless of its age, for display only."""
         with self._lock:
             return self._items[-1][1] if self._items else None
-
-    def latest(self, now_s: float, max_age_s: float) -> T:
-        """Return the newest item; raises ``StaleSampleError`` if it is older than ``max_age_s``."""
-        with self._lock:
-            if not self._items:
-                raise StaleSampleError(f"{self.name}: no sample yet")
-            t_s, item = self._items[-1]
-        _require_fresh(self.name, now_s - t_s, max_age_s)
-        return item
 
     def since(self, cursor: int) -> tuple[list[T], int, int]:
         """Return (items after ``cursor``, new cursor, number of lost items)."""
@@ -146,7 +132,9 @@ class SampleStream:
                 raise StaleSampleError(f"{self.name}: no sample yet")
             i = (self._count - 1) % self.capacity
             t_s, values = float(self._t_s[i]), self._values[i].copy()
-        _require_fresh(self.name, now_s - t_s, max_age_s)
+        if not now_s - t_s <= max_age_s:
+            age_ms = 1e3 * (now_s - t_s)
+            raise StaleSampleError(f"{self.name}: newest sample is {age_ms:.0f} ms old")
         if not np.isfinite(values).all():
             raise StaleSampleError(f"{self.name}: newest sample is not a finite number")
         return t_s, values

@@ -75,11 +75,6 @@ class LiveSensing:
         # What is known of the wrist sensor's, for any thread; None while that is too little.
         self.drift: zeroing.WrenchDrift | None = None
 
-    @property
-    def tare(self) -> zeroing.Tare:
-        """Wrench that is subtracted from the raw samples."""
-        return self._tare
-
     def update(self, still_s: float = 0.0) -> None:
         """Process all samples and frames since the last call.
 

@@ -199,11 +199,6 @@ class DescentRecord:
         height = np.interp([onset, *self.ticks_s], self.t_s, self.height_mm)
         return np.asarray(height[0] - height[1:], dtype=np.float64)
 
-    @property
-    def press_n(self) -> float:
-        """Press force at the end."""
-        return float(self.values[-1, 2])
-
 
 class SecondWorldPress:
     """One press of a mounted piece."""

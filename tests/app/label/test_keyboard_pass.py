@@ -220,8 +220,8 @@ def test_what_an_empty_queue_offers_is_what_would_fill_it(desk, queue, button):
 
 
 def test_reading_ahead_holds_no_more_than_seven_episodes(desk):
-    held = desk.workspace.presenter._prefetch.held
+    held = desk.workspace.presenter._prefetch._items
     for key in [KEY.Key_PageDown] * 20 + [KEY.Key_PageUp] * 5:
         desk.do(key)
-        assert len(held()) <= 7
-        assert desk.uuid in held()
+        assert len(held) <= 7
+        assert desk.uuid in held

@@ -200,7 +200,7 @@ def test_a_simulated_bench_uses_what_it_has_and_its_episodes_say_so(session, tmp
     # Weight down; its arm turns the hand as the cross product says.
     force = np.array([0.0, 0.0, -1.5 * 9.80665])
     np.testing.assert_allclose(payload, [*force, *np.cross([0.002, -0.001, 0.0], force)])
-    np.testing.assert_array_equal(session._scene.sensing.tare.payload, payload)
+    np.testing.assert_array_equal(session._scene.sensing._tare.payload, payload)
     session.run(ProbeRequest())
     told = dict(recorded[0].episode.metadata)
     for what in CALIBRATION_NAMES:
@@ -223,7 +223,7 @@ def test_a_run_has_the_payload_it_was_checked_with_though_the_file_is_damaged_si
     monkeypatch.setattr(session, "_make_stage", damaging)
     session.run(StackRequest(strategy="pick-and-place"))
     assert payload_wrench(store, session.devices) is None
-    np.testing.assert_array_equal(session._scene.sensing.tare.payload, checked)
+    np.testing.assert_array_equal(session._scene.sensing._tare.payload, checked)
 
 
 def test_a_sensor_that_was_changed_needs_a_new_payload(session, tmp_path):

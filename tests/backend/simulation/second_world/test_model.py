@@ -88,7 +88,7 @@ def test_a_press_in_the_middle_is_springs_in_series() -> None:
 
     assert found.settled
     assert depth == pytest.approx(probe.depth_mm, abs=0.04)
-    assert found.press_n == pytest.approx(15.0 * (depth - brentq(left, 0.0, depth)), rel=5e-3)
+    assert found.values[-1, 2] == pytest.approx(15.0 * (depth - brentq(left, 0.0, depth)), rel=5e-3)
 
 
 def test_the_piece_turns_about_the_edge_that_it_sticks_to() -> None:

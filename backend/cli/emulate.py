@@ -24,6 +24,7 @@ from touchdown.backend.bench import (
     shorten_switch_interval,
 )
 from touchdown.backend.cli.output import VerbOutput, text_table
+from touchdown.backend.config import read_toml
 from touchdown.backend.core import (
     FINGERS,
     InputError,
@@ -182,6 +183,10 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
             "--folder",
             "Name a folder, or write its lab file with --lab-file.",
         )
+    file = args.lab_file
+    if file is not None and file.exists() and read_toml(file).get("kind") != "emulated":
+        what = "This file is not of an emulated bench; it would be replaced."
+        raise InputError(what, str(file), "Name a new file with --lab-file.")
     # Imported here: single devices do not need a scene.
     from touchdown.backend.bench import SimulatedBenchChoice, make_scene
 

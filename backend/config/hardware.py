@@ -14,6 +14,9 @@ from pydantic import Field, field_validator, model_validator
 
 from touchdown.backend.config.method import NonNegative, Positive, Settings
 
+# A file with one of these keys is a lab file; simulation settings have none.
+LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
+
 Port = Annotated[int, Field(ge=1, le=65535)]
 Share = Annotated[float, Field(gt=0, le=1)]
 U16 = Annotated[int, Field(ge=0, le=0xFFFF)]

@@ -25,7 +25,7 @@ from touchdown.backend.config.bench_description import (
     sha256_of_json,
     wrist_frame,
 )
-from touchdown.backend.config.hardware import HardwareSettings
+from touchdown.backend.config.hardware import LAB_FILE_KEYS, HardwareSettings
 from touchdown.backend.config.method import Force, NonNegative, Positive, Settings, Speed
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 from touchdown.backend.core import InputError, write_atomically
@@ -104,8 +104,6 @@ def _is_below(path: Path, folder: Path) -> bool:
 LAB_FILE_VERSION = 1
 Age = Annotated[float, Field(gt=0, le=10)]  # s
 LabKind = Literal["hardware", "emulated"]
-# A file with one of these keys is a lab file; simulation settings have none.
-LAB_FILE_KEYS = frozenset({"version", "kind", "melfa", "wsg", "ft", "gelsight"})
 
 
 class Limits(Settings):

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from touchdown.backend.config.hardware import LAB_FILE_KEYS
 from touchdown.backend.config.method import NonNegative, Positive, Settings
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 from touchdown.backend.core import InputError
@@ -241,6 +242,9 @@ def load_simulation(file: Path | None = None, preset: str | None = None) -> Simu
     ``preset`` replaces the preset of the file. Raises ``InputError``.
     """
     content = {} if file is None else read_toml(file)
+    if LAB_FILE_KEYS & content.keys():
+        fix = "Name a file with settings of the simulated bench."
+        raise InputError("This is a lab file, and the bench is simulated here.", str(file), fix)
     if preset is not None:
         content["preset"] = preset
     return parse_settings(SimulationSettings, content, str(file) if file else "--preset")

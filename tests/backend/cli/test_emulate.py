@@ -129,6 +129,18 @@ def test_a_folder_named_from_here_leads_to_the_bench_from_anywhere(tmp_path, mon
     assert Path(lab.settings.gelsight.by_id).parent == (tmp_path / "new").resolve()
 
 
+def test_a_lab_file_of_devices_is_not_replaced(tmp_path, capsys):
+    lab = tmp_path / "lab.toml"
+    assert main(["bench", str(lab), "--new"]) == 0
+    before = lab.read_bytes()
+    words = ["emulate", "bench", "--lab-file", str(lab), "--for", "0.02"]
+    assert main(words) == 2
+    assert "would be replaced" in capsys.readouterr().err
+    assert lab.read_bytes() == before
+    lab.unlink()
+    assert main(words) == main(words) == 0
+
+
 def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
     assert main(["emulate", "bench", "--folder", str(tmp_path), "--for", "0.02", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -303,3 +303,11 @@ def test_flat_faces_are_left_out_of_what_identifies_a_bench():
 def test_surfaces_beyond_the_limits_are_refused(given):
     with pytest.raises(InputError):
         parse_settings(SimulationSettings, {"surface": given}, "bench.toml")
+
+
+def test_a_lab_file_is_not_taken_for_a_simulated_bench(tmp_path):
+    lab = tmp_path / "lab.toml"
+    lab.write_text('version = 1\nkind = "hardware"\n', "utf-8")
+    with pytest.raises(InputError, match="This is a lab file") as refused:
+        load_simulation(lab)
+    assert refused.value.where == str(lab)

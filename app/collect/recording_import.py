@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QGridLayout,
@@ -147,7 +147,7 @@ class RecordingSheet(BenchSheet):
             grid.setRowStretch(at // 3 * 2, 1)
             grid.setColumnStretch(at % 3, 1)
         for name, (row, column, span) in SIGNALS.items():
-            grid.addWidget(self.findings[name], row, column, 1, span)
+            grid.addWidget(self.findings[name], row, column, 1, span, Qt.AlignmentFlag.AlignTop)
         grid.addWidget(label(HINT, "small", wrap=True), 2, 2)
         right = vbox((grid, 1), self.anyway, self.note, self.progress)
         foot = self.preview, self.correct, self.cancel, self.add

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QPushButton, QSizePolicy
 
 from touchdown.app.shell import WorkspacePage, column_of
@@ -68,9 +68,13 @@ class TrainPage(WorkspacePage):
         base.add_items(self.split_panel.header, *held_out)
         base.add_items(self.split_panel.column, self.leaks, self.form.divide)
         self._left = column_of((self.form, 0), (self.split_panel, 1))
+        # Its wrapped text can get more height than it needs.
+        column = self._left.layout()
+        assert column is not None
+        column.setAlignment(self.form, Qt.AlignmentFlag.AlignTop)
         self.samples_panel = base.Panel("Held-out probes, true patch outlined")
-        self.samples_panel.detail.setText(base.tr("p: blue to yellow"))
-        self.samples_panel.detail.setToolTip(base.tr("blue p = 0, yellow p = 1"))
+        self.samples_panel.detail.setText(base.tr("p: 0 blue, 1 yellow"))
+        self.samples_panel.detail.setToolTip(base.tr("Predicted probability of contact"))
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = base.Panel("Trainings", self.runs)

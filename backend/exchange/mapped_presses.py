@@ -116,7 +116,7 @@ def press_curves(press: core.Recording) -> tuple[PressCurves, ...]:
     wrench_t_s = press.wrench_t_s - CONTACT_S
     found = [
         ("Force", "N", "xyz", wrench_t_s, press.wrench[:, :3]),
-        ("Moment", "N m", "xyz", wrench_t_s, press.wrench[:, 3:]),
+        ("Moment", "N\N{MIDDLE DOT}m", "xyz", wrench_t_s, press.wrench[:, 3:]),
         ("Hand from contact", "mm", "xyz", press.pose_t_s - CONTACT_S, hand_mm),
     ]
     for finger in core.FINGERS:

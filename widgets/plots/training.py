@@ -12,7 +12,7 @@ from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPen, QPolygonF
 
 from touchdown.backend.core import FloatArray
-from touchdown.widgets.base import Theme, draw_elided_line, map_colours, tr, ui_font
+from touchdown.widgets.base import Theme, draw_elided_line, map_colours, tr, true_minus, ui_font
 from touchdown.widgets.plots import axes
 from touchdown.widgets.plots.pictures import PictureView
 from touchdown.widgets.views import stroke_on_black
@@ -150,7 +150,7 @@ class CurvePlot(_TrainingPlot):
             painter.drawText(box, int(Qt.AlignmentFlag.AlignLeft), self._ending(one))
 
     def _ending(self, line: CurveLine) -> str:
-        return f"{line.name} {line.points[-1][1]:.{self._digits}f}".strip()
+        return true_minus(f"{line.name} {line.points[-1][1]:.{self._digits}f}".strip())
 
 
 class SignalPlot(CurvePlot):

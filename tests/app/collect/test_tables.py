@@ -194,6 +194,9 @@ def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet,
     assert said["right"] == "Nothing contradicts 'right'."
     assert [line.name for line in sheet.plots["Force"].lines] == ["x", "y", "z"]
     assert sheet.plots["Force"].lines[2].points[-1][1] == pytest.approx(7.8, abs=0.3)
+    moment = sheet.plots["Moment"]
+    assert moment.name == "Moment (N\N{MIDDLE DOT}m)"
+    assert moment._ending(moment.lines[1]).startswith("y \N{MINUS SIGN}10")
     assert not sheet.add.isEnabled()
     sheet.anyway.setChecked(True)
     assert sheet.add.isEnabled(), "the user may insist"

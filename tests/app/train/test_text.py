@@ -4,6 +4,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from PySide6.QtCore import QPoint
+from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import settle
 from tests.backend.annotations.conftest import context_for, small_episode
@@ -21,7 +23,7 @@ from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
 from touchdown.widgets.base.theme import Theme, load_resources
-from touchdown.widgets.forms.training_form import TrainingForm
+from touchdown.widgets.forms.training_form import TrainingButtons, TrainingForm
 from touchdown.widgets.lists.tables import FigureTable, TrainingRow
 
 
@@ -224,6 +226,20 @@ def test_a_row_with_a_cross_has_the_colour_of_an_error_in_every_theme(qapp, qtbo
         rows = [table.rowViewportPosition(row) for row in range(2)]
         assert red[rows[0] : rows[1]].any()
         assert not red[rows[1] :].any()
+
+
+def test_the_panels_of_a_page_without_labels_begin_at_one_height(live):
+    live.window.resize(1280, 720)
+    live.go("train")
+    settle(live)
+    page = live.workspaces["train"].page
+    for words in range(1, 40):
+        page.form.show_buttons(
+            TrainingButtons(start=False, cancel=False, resume=False, why_not="label " * words)
+        )
+        QApplication.processEvents()
+        tops = {one.mapToGlobal(QPoint()).y() for one in (page.form, page.curves_panel)}
+        assert len(tops) == 1, words
 
 
 def test_the_table_of_trainings_fits_a_window_of_1280_px(live):

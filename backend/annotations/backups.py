@@ -164,9 +164,15 @@ def restore_backup(dataset: Path, backup: Path) -> Path | None:
     """Replace the catalogue by ``backup``; return the new path of the old catalogue.
 
     The dataset must not be open. The next opening replays the journal, so no label is lost. Raises
-    ``InputError`` for a damaged backup.
+    ``InputError`` for a damaged backup, or one of another dataset.
     """
-    check_backup(backup)
+    sites = check_backup(backup)
+    journals = {path.stem for path in (dataset / "labels").glob("*.jsonl")}
+    described = dataset / "dataset.json"
+    own = described.read_text("utf-8", "replace") if described.is_file() else ""
+    # A lost journal is no sign of another dataset.
+    if sites and journals and not any(site in journals or site in own for site in sites):
+        raise _bad(backup, "it is of another dataset")
     part = dataset / f".{CATALOGUE_FILE}.tmp"
     with _disk_errors(dataset):
         shutil.copyfile(backup, part)

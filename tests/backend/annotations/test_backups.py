@@ -195,6 +195,21 @@ def test_going_back_to_a_copy_loses_no_label(tmp_path):
         assert dataset.labels.head(uuid).state == "approved"
 
 
+def test_a_backup_of_another_dataset_is_refused(tmp_path):
+    backups = []
+    for seed, name in enumerate(("mine", "other")):
+        with Dataset.open(tmp_path / name) as dataset:
+            add(dataset, Label(seed, 0, 0, 1), seed=seed)
+            backups.append(dataset.backups.make("test"))
+            expected = tables(dataset)
+    with pytest.raises(InputError, match="it is of another dataset"):
+        restore_backup(tmp_path / "other", backups[0])
+    with Dataset.open(tmp_path / "other") as dataset:
+        assert tables(dataset) == expected
+    shutil.rmtree(tmp_path / "other" / "labels")
+    assert restore_backup(tmp_path / "other", backups[1]) is not None
+
+
 @pytest.fixture
 def busy(tmp_path: Path) -> Path:
     """A dataset with files, a pack, reviews, an undo, tags and a deleted episode; closed."""

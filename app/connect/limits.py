@@ -128,7 +128,6 @@ TITLES = {
     "turn_clear_mm": "Room below to turn",
     "contact_n": "Counts as contact",
     "jog_guard_n": "Guard while jogging",
-    "press_n": "Press",
     "probe_n": "Nominal press of a probe",
     "trip_n": "Stops motion, force (two samples)",
     "trip_at_once_n": "Stops motion, force (one sample)",

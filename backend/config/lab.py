@@ -25,7 +25,7 @@ from touchdown.backend.config.bench_description import (
     sha256_of_json,
     wrist_frame,
 )
-from touchdown.backend.config.hardware import LAB_FILE_KEYS, HardwareSettings
+from touchdown.backend.config.hardware import LAB_FILE_KEYS, DeviceSettings, HardwareSettings
 from touchdown.backend.config.method import Force, NonNegative, Positive, Settings, Speed
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 from touchdown.backend.core import InputError, write_atomically
@@ -106,11 +106,13 @@ Age = Annotated[float, Field(gt=0, le=10)]  # s
 LabKind = Literal["hardware", "emulated"]
 
 
-class Limits(Settings):
+class Limits(DeviceSettings):
     """Limits of motion and force in the bench frame; commands beyond them are refused.
 
     The workspace is the part of the box within ``reach_mm`` of its vertical axis.
     """
+
+    retired = frozenset({"press_n"})
 
     reach_mm: Positive = 150.0
     least_x_mm: float = -150.0
@@ -122,7 +124,6 @@ class Limits(Settings):
     speed_mm_s: Speed = 50.0
     contact_speed_mm_s: Speed = 2.0
     contact_n: Force = 1.0
-    press_n: Force = 25.0
     trip_n: Force = 40.0
     trip_at_once_n: Force = 60.0
     trip_nm: Annotated[float, Field(gt=0, le=50)] = 1.5
@@ -155,7 +156,6 @@ ORDERED_LIMITS = (
     ("jog_mm_s", "speed_mm_s"),
     ("contact_n", "jog_guard_n"),
     ("jog_guard_n", "trip_n"),
-    ("press_n", "trip_n"),
     ("probe_n", "trip_n"),
     ("trip_n", "trip_at_once_n"),
 )

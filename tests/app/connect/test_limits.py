@@ -230,15 +230,15 @@ def test_limits_are_locked_and_change_on_the_second_word_only(lab, bench):
     assert all(box.isReadOnly() and box.isEnabled() for box in boxes), "locked, yet legible"
     assert not sheet.take.isEnabled()
     sheet.edit.click()
-    sheet.boxes["press_n"].setValue(20.0)
+    sheet.boxes["probe_n"].setValue(20.0)
     sheet.take.click()
-    assert "Press 25 \N{RIGHTWARDS ARROW} 20 N" in sheet.question.text.text()
+    assert "Nominal press of a probe 30 \N{RIGHTWARDS ARROW} 20 N" in sheet.question.text.text()
     assert bench.interlock.limits == Limits()
     sheet.question.no.click()
     assert bench.interlock.limits == Limits()
     sheet.take.click()
     sheet.question.yes.click()
-    assert bench.interlock.limits == Limits(press_n=20.0)
+    assert bench.interlock.limits == Limits(probe_n=20.0)
     assert "changed at" in sheet.source.text()
     assert not sheet.take.isEnabled()
 
@@ -246,9 +246,12 @@ def test_limits_are_locked_and_change_on_the_second_word_only(lab, bench):
 def test_limits_that_contradict_each_other_are_not_even_offered(lab, bench):
     sheet = limits_sheet(lab)
     sheet.edit.click()
-    sheet.boxes["press_n"].setValue(50.0)
+    sheet.boxes["probe_n"].setValue(50.0)
     sheet.take.click()
-    assert sheet.said.text() == "'Press' is above 'Stops motion, force (two samples)'."
+    assert (
+        sheet.said.text()
+        == "'Nominal press of a probe' is above 'Stops motion, force (two samples)'."
+    )
     assert not sheet.question.isVisible()
 
 
@@ -274,7 +277,7 @@ def test_limits_stay_while_something_moves(lab, bench):
     bench.interlock.renew_lease(bench.clock_s())
     sheet = limits_sheet(lab)
     sheet.edit.click()
-    sheet.boxes["press_n"].setValue(20.0)
+    sheet.boxes["probe_n"].setValue(20.0)
     sheet.take.click()
     sheet.question.yes.click()
     assert bench.interlock.limits == Limits()

@@ -144,7 +144,7 @@ def test_facts_follow_the_sensors_and_not_their_addresses(tmp_path):
             for t in ("", named, named.replace("A-1", "B"))]  # fmt: skip
     assert labs[0].sha256 == plain.sha256
     assert len({lab.sha256 for lab in labs}) == 3, "a certificate names the gels, if known"
-    assert facts('[melfa]\nhost = "10.0.0.7"\n[limits]\npress_n = 20.0\n') == plain
+    assert facts('[melfa]\nhost = "10.0.0.7"\n[limits]\nprobe_n = 20.0\n') == plain
     assert facts("[gelsight]\nmm_per_px_x = 0.06\n").sha256 != plain.sha256
     assert facts("[mounting]\nsensor_height_mm = 90.0\n").ft_frame != plain.ft_frame
     assert plain.mm_per_px == pytest.approx((0.05885, 0.05885))
@@ -195,7 +195,8 @@ def test_keys_and_tables_that_are_missing_are_added(path):
 
 
 def test_a_lab_file_with_settings_that_were_removed_still_opens(path):
-    path.write_text(f"{TEMPLATE}\n[bota]\nquiet_in_config = false\nsinc = 128\n", "utf-8")
+    text = TEMPLATE.replace("trip_n = 40.0", "press_n = 25.0\ntrip_n = 40.0")
+    path.write_text(f"{text}\n[bota]\nquiet_in_config = false\nsinc = 128\n", "utf-8")
     assert load_lab(path).settings.bota.sinc == 128
     monitor = {"type_robmon": 902, "type_pose": 903, "type_joint": 904, "type_force": 901}
     force_control = {"limited_stiffness_mode": 4, "off_on_reset": False}
@@ -231,7 +232,7 @@ def test_a_file_that_is_not_understood_is_left_to_its_author():
 
 @pytest.fixture
 def session(tmp_path):
-    text = TEMPLATE.replace("press_n = 25.0", "press_n = 20.0")
+    text = TEMPLATE.replace("probe_n = 30.0", "probe_n = 20.0")
     path = written(tmp_path, text.replace('piece = "pot"', 'piece = "mushroom"'))
     made = lab_session(LabChoice(path), keep=RecordingOptions(tmp_path / "runs"))
     yield made
@@ -241,7 +242,7 @@ def session(tmp_path):
 def test_it_is_called_by_its_name_and_knows_its_limits(session, tmp_path):
     told = session.name, session.description.mode, session.simulated
     assert told == ("My lab", "hardware", False)
-    assert session.interlock.limits.press_n == 20.0
+    assert session.interlock.limits.probe_n == 20.0
     assert session.limits_source == str(tmp_path / "lab.toml")
     assert list(session.devices) == list(LINES)
     assert {device.state for device in session.devices.values()} == {DeviceState.CLOSED}

@@ -208,6 +208,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run one action; return its exit code."""
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     named = {"restore": f"one in {folder / 'backup'}", "merge": "another copy of the dataset"}
+    for option, action in (("resolve", "verify"), ("replace", "rebuild")):
+        if getattr(args, option) and args.action != action:
+            raise InputError(f"This is for '{action}' only.", f"--{option}", "Leave it out.")
     if args.other is not None and args.action not in named:
         fix = "Name the dataset by --dataset."
         raise InputError(f"'{args.action}' takes no file.", str(args.other), fix)

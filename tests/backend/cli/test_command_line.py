@@ -337,6 +337,7 @@ def test_an_edited_table_without_its_manifest(exchange, say, tmp_path) -> None:
         (("export", "gif", "--out", "{tmp}/o"), "export"),
         (("import", "csv", "{tmp}/none.csv", "--person", "ann"), "none.csv"),
         (("import", "csv", "{tmp}"), "--person"),
+        (("dataset", "verify", "--replace"), "--replace"),
         (("import", "lerobot", "{tmp}", "--person", "ann"), "{tmp}"),
     ],
 )

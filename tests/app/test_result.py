@@ -333,6 +333,9 @@ def test_a_device_that_drops_out_changes_only_its_own_chip(live, bench):
 def test_a_device_without_a_sample_has_no_age_yet(live, bench, monkeypatch):
     silent = Health(0.0, float("inf"), 0, 0)
     monkeypatch.setattr(type(bench.devices["arm"]), "health", silent)
+    # On a busy computer the chip would become stale meanwhile.
+    now_s = live._chips._now_s()
+    monkeypatch.setattr(live._chips, "_now_s", lambda: now_s)
     live._chips._drawn_s = float("-inf")
     settle(live)
     assert "no data yet" in live.bar.chips["arm"].value.detail

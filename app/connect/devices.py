@@ -143,7 +143,7 @@ FIELDS = (
     DeviceField("serials.gripper", "Gripper", "Serial number expected", empty=ANY),
     DeviceField("melfa.driver", "Arm", "Make", chosen=True),
     DeviceField("melfa.host", "Arm", "Address"),
-    DeviceField("melfa.r3.port", "Arm", "Port of the commands", beside=True),
+    DeviceField("melfa.r3.port", "Arm", "Port", beside=True),
     DeviceField("serials.arm", "Arm", "Serial number expected", empty=ANY),
 )
 

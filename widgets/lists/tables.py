@@ -142,6 +142,7 @@ class _EpisodeModel(QAbstractTableModel):
 
 MOST_COMPARED = 3
 CROSS = "\N{MULTIPLICATION X}"
+ELIDED_EM = 5  # least width of an elided column
 LEAST_ROWS = 3  # rows that fit even at the smallest window size
 
 
@@ -158,7 +159,7 @@ class FigureTable(QTableWidget):
     """Table of texts; all columns but the first are right-aligned figures.
 
     ``empty`` is the text shown while there are no rows. A row that begins with a cross is red.
-    ``elided``: the first column is elided where there is no room.
+    ``elided``: the first column is elided down to ``ELIDED_EM``.
     """
 
     empty, elided = "", False
@@ -178,11 +179,13 @@ class FigureTable(QTableWidget):
         self._fit_first()
 
     def _fit_first(self) -> None:
-        """Give the first column the free width; without ``elided`` the table scrolls otherwise."""
+        """Give the first column the free width; the table scrolls where there is none."""
         mode, head = QHeaderView.ResizeMode, self.horizontalHeader()
         columns = range(self.columnCount())
-        px = sum(max(head.sectionSizeHint(at), self.sizeHintForColumn(at)) for at in columns)
-        fits = self.elided or px <= self.viewport().width()
+        px = [max(head.sectionSizeHint(at), self.sizeHintForColumn(at)) for at in columns]
+        if self.elided:
+            px[0] = min(px[0], ELIDED_EM * self.fontMetrics().height())
+        fits = sum(px) <= self.viewport().width()
         head.setSectionResizeMode(0, mode.Stretch if fits else mode.ResizeToContents)
 
     def show_columns(self, columns: Sequence[str]) -> None:

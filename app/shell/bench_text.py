@@ -9,9 +9,9 @@ from touchdown.backend.bench import Session, model_in_use
 from touchdown.backend.core import InputError
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.learning import ModelCard, ModelRegistry, load_card, pretraining_text
-from touchdown.backend.learning.fused import shipped_fused
+from touchdown.backend.learning.fused import load_network
 from touchdown.backend.placement import shipped_model
-from touchdown.backend.runs import models_folder
+from touchdown.backend.runs import LEARNED, models_folder
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import MODALITIES
 
@@ -76,7 +76,9 @@ def run_model_caption(piece: str, strategy: str) -> ModelCaption:
     if strategy == "zero-wrench":
         return WRENCH_ONLY
     try:
-        return fused_caption() if strategy == "fused" else card_caption(model_card_in_use(piece))
+        if strategy in LEARNED:
+            return fused_caption(LEARNED[strategy].get("fused", {}).get("weights", ""))
+        return card_caption(model_card_in_use(piece))
     except InputError as error:
         return ModelCaption(tr("cannot be read"), f"{error.what} {error.fix}")
 
@@ -122,9 +124,9 @@ def card_caption(card: ModelCard) -> ModelCaption:
     return ModelCaption(", ".join(filter(None, short)), "\n".join(filter(None, lines)))
 
 
-def fused_caption() -> ModelCaption:
-    """Return the fusion network. Raises ``InputError``."""
-    card = shipped_fused().card
+def fused_caption(weights: str) -> ModelCaption:
+    """Return a fusion network that ships, by its name. Raises ``InputError``."""
+    card = load_network(weights).card
     sequences = card.training.get("sequences")
     lines = (
         tr("The fusing network that ships: {}.", card.weights_sha256[:12]),

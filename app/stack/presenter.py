@@ -100,11 +100,11 @@ class StackPresenter:
         heavy = form.piece in pieces and pieces[form.piece].mass_g >= LEAST_WEIGHED_G
         run.show_weigh(heavy)
         withheld = self._withheld(form)
-        if form.strategy != "fused":
+        request = stack_request(form)
+        if not request.learned:
             run.show_certificate("", "")
             run.show_signals(withheld)
             return
-        request = stack_request(run.form())
         try:
             status = certificate_status(bench.identity, bench.method, request)
             guard = bench.guard_of(request.method(bench.method))

@@ -253,8 +253,9 @@ def run_text(head: core.RunStarted) -> str:
 def _model_text(head: core.RunStarted) -> str:
     """Return the model or network of a run; "" if its settings name none."""
     record = json.loads(head.settings)
-    if head.strategy == "fused":
-        weights = record.get("method", {}).get("fused", {}).get("weights")
+    method = record.get("method", {})
+    if method.get("strategy", head.strategy) == "fused":
+        weights = method.get("fused", {}).get("weights")
         return f"network {weights}, " if weights else "the shipped network, "
     model = record.get("model") or {}
     return f"model of {model['piece']} {model['weights_sha256'][:16]}, " if model else ""

@@ -68,6 +68,7 @@ from .recorder import keep_bookmark as keep_bookmark
 from .recorder import keep_photo as keep_photo
 from .recorder import models_folder as models_folder
 from .recorder import read_bookmarks as read_bookmarks
+from .requests import LEARNED as LEARNED
 from .requests import CalibrateRequest as CalibrateRequest
 from .requests import CollectRequest as CollectRequest
 from .requests import DecisionMode as DecisionMode

@@ -13,7 +13,28 @@ from touchdown.backend.calibration import CalibrationName
 from touchdown.backend.config import RecordingPlan, StackSettings, StrategyName, parse_settings
 from touchdown.backend.core import InputError, PlaceAction
 
-StrategyChoice = StrategyName
+StrategyChoice = Literal[
+    StrategyName, "fused-any", "fused-certified", "fused-uneven", "fused-wrench"
+]
+# Settings of the strategy `fused` by choice; docs/learned-fusion.md says how each was chosen.
+LEARNED: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
+    "fused": {},
+    "fused-any": {
+        "fused": {"weights": "any", "ensemble": "mixture", "first_risk": 0.004, "risk": 0.03,
+                  "inset_mm": 0.0},
+        "policy": {"max_probes": 12},
+    },
+    "fused-certified": {"fused": {"weights": "any", "risk": 0.02}},
+    "fused-uneven": {
+        "fused": {"weights": "any", "ensemble": "mixture", "first_risk": 0.01, "risk": 0.05,
+                  "inset_mm": 0.25},
+        "policy": {"max_probes": 12},
+    },
+    "fused-wrench": {
+        "fused": {"weights": "wrench", "first_risk": 0.003, "risk": 0.2, "inset_mm": 1.0},
+        "policy": {"max_probes": 12},
+    },
+}  # fmt: skip
 DecisionMode = Literal["auto", "approve", "step"]
 Pattern = Literal["random", "grid", "adaptive"]
 GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
@@ -74,7 +95,8 @@ class StackRequest:
         Number of trials.
     strategy : str, default: "paper"
         Strategy of the decisions: "paper", "paper-calibrated", "fused", "zero-wrench", or, on
-        simulated benches only, "pick-and-place".
+        simulated benches only, "pick-and-place". "fused-any", "fused-certified", "fused-uneven"
+        and "fused-wrench" are "fused" with other networks or rules of release.
     mode : {"auto", "approve", "step"}, default: "auto"
         Moves without approval, or each after ``Session.answer(True)``.
     model : str, optional
@@ -104,7 +126,7 @@ class StackRequest:
     weigh: bool = False
 
     def __post_init__(self) -> None:
-        _check_request(self, strategy=StrategyName, mode=DecisionMode)
+        _check_request(self, strategy=StrategyChoice, mode=DecisionMode)
         if isinstance(self.bottoms, str):
             fix = f"Give a tuple of names, such as ('{self.bottoms}',)."
             raise InputError("The bottoms are a single text.", "bottoms", fix)
@@ -116,12 +138,20 @@ class StackRequest:
         estimates = self.strategy != "pick-and-place" or self.model is not None
         return SceneChoice(
             self.piece, self.bottoms, self.seed + trial, self.model, estimates,
-            alone=self.mode == "auto", optional=self.strategy == "fused",
+            alone=self.mode == "auto", optional=self.learned,
         )  # fmt: skip
+
+    @property
+    def learned(self) -> bool:
+        """True if a network of ``fused`` decides."""
+        return self.strategy in LEARNED
 
     def method(self, base: StackSettings) -> StackSettings:
         """Return ``base`` with the settings of this run."""
-        given = {"strategy": self.strategy, "mode": self.mode, "weigh": self.weigh or base.weigh}
+        strategy = "fused" if self.learned else self.strategy
+        given = {"strategy": strategy, "mode": self.mode, "weigh": self.weigh or base.weigh}
+        for group, values in LEARNED.get(self.strategy, {}).items():
+            given[group] = getattr(base, group).model_copy(update=values)
         return base.model_copy(update=given)
 
 

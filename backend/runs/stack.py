@@ -274,7 +274,7 @@ def certificate_status(
     Certificates lie beside the checkpoint, and in the calibrations of a laboratory. Raises
     ``InputError`` if the network cannot be read.
     """
-    if request.strategy != "fused":
+    if not request.learned:
         return CertificateStatus(None, "only learned fusion can have one")
     if request.weigh:
         return CertificateStatus(None, "none covers a weighed centre of mass")
@@ -316,7 +316,7 @@ def stack_run(session: RunContext, request: StackRequest) -> Plan[None]:
     check_pieces(session, request)
     guard = session.guard_of(method)
     record = {**session.check_scene(request.scene())}
-    certified = request.strategy == "fused"
+    certified = request.learned
     if certified:
         status = certificate_status(session.identity, session.method, request)
         record["release"] = release_record(session.identity, session.method, request, status)

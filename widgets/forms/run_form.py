@@ -22,6 +22,10 @@ STRATEGIES = (
     ("paper", "Probe and believe"),
     ("paper-calibrated", "Probe and believe, calibrated"),
     ("fused", "Learned fusion"),
+    ("fused-any", "Learned fusion, any outline"),
+    ("fused-certified", "Learned fusion, certified risk"),
+    ("fused-uneven", "Learned fusion, uneven bottoms"),
+    ("fused-wrench", "Learned fusion, wrench alone"),
     ("zero-wrench", "Release at zero wrench"),
     ("pick-and-place", "Pick and place"),
 )

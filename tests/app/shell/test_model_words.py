@@ -11,6 +11,7 @@ from touchdown.app.shell.bench_text import (
 )
 from touchdown.backend.bench.assembly import model_in_use
 from touchdown.backend.learning import ModelRegistry, load_checkpoint, save_checkpoint
+from touchdown.backend.runs import LEARNED
 from touchdown.backend.runs.recorder import models_folder
 from touchdown.widgets.forms.run_form import RunForm
 
@@ -54,6 +55,8 @@ def test_strategies_that_ask_no_promoted_model_say_so(mine):
     ]
     assert not any("yours" in short for short in shorts)
     assert shorts[0] == "its own, shipped"
+    shipped = [run_model_caption("pot", name).full.split()[5] for name in LEARNED]
+    assert len(set(shipped)) == 3, "three networks ship, two of them with several rules"
 
 
 def test_a_damaged_history_is_no_failure():

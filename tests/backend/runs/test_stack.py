@@ -1,24 +1,31 @@
-"""Questions of a run where it is unsure: signals that differ from calibration, no place found."""
+"""Networks of learned fusion, and questions of a run where it is unsure."""
 
+import tomllib
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, on
 from tests.backend.runs.oracle_bench import OracleSession, request
-from touchdown.backend.config.method import FusedSettings, PolicySettings
+from touchdown.backend.bench.assembly import SimulatedBenchChoice, simulated_session
+from touchdown.backend.config.method import FusedSettings, PolicySettings, StackSettings
 from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
     FaultError,
+    InputError,
     Outcome,
     Released,
     RunFinished,
     Said,
     TrialFinished,
 )
+from touchdown.backend.geometry import load_pieces, regions
 from touchdown.backend.learning.fused import Guard, GuardCalibration
-from touchdown.backend.runs import messages, probe, stack
+from touchdown.backend.runs import LEARNED, RecordingOptions, StackRequest, messages, probe, stack
+from touchdown.backend.runs.stack import certificate_status, check_pieces
 
 BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
@@ -195,3 +202,56 @@ def test_a_probe_rejected_twice_is_kept_twice_and_ends_the_run(monkeypatch):
     assert ended.value.fault.what == "Probe 3 was rejected 2 times: slip; late."
     assert kept == [pressed.episode] * 2
     assert lifted == [3, 3]
+
+
+def test_a_strategy_of_each_network_sets_its_rule_and_keeps_the_other_settings() -> None:
+    base = StackSettings().model_copy(update={"fused": FusedSettings(risk=0.5, merge_mm=0.3)})
+    found = {name: StackRequest(strategy=name).method(base) for name in LEARNED}
+    assert {method.strategy for method in found.values()} == {"fused"}
+    assert found["fused"].fused == base.fused
+    assert [method.fused.weights for method in found.values()] == [
+        "",
+        "any",
+        "any",
+        "any",
+        "wrench",
+    ]
+    assert [method.policy.max_probes for method in found.values()] == [8, 12, 8, 12, 12]
+    assert found["fused-uneven"].fused.accepted_risk(12, 12) == 0.05
+    assert all(method.fused.merge_mm == 0.3 for method in found.values())
+    # Every rule is valid: the copies above are not checked.
+    for method in found.values():
+        assert StackSettings.model_validate(method.model_dump()) == method
+    text = (Path(__file__).parents[3] / "docs" / "learned-fusion.md").read_text("utf-8")
+    written = tomllib.loads(text.split("```toml\n")[1].split("```")[0])
+    assert written == LEARNED["fused-any"]
+    with pytest.raises(InputError, match="There is no strategy 'fused-all'"):
+        StackRequest(strategy="fused-all")  # type: ignore[arg-type]
+
+
+def test_the_certified_strategy_is_covered_on_its_bench() -> None:
+    with simulated_session(
+        SimulatedBenchChoice(preset="bench-v2"), keep=RecordingOptions(None)
+    ) as session:
+        covered = {
+            name: certificate_status(
+                session.identity, session.method, StackRequest(strategy=name)
+            ).certificate
+            is not None
+            for name in LEARNED
+        }
+    assert [name for name, there in covered.items() if there] == ["fused-certified"]
+
+
+def test_only_networks_for_any_outline_take_a_ring() -> None:
+    ring = replace(load_pieces().piece("short"), name="ring", face=regions.ring(20.0, 10.0))
+    session = SimpleNamespace(
+        catalogue=SimpleNamespace(pieces={"ring": ring}), method=StackSettings()
+    )
+    refused = []
+    for name in LEARNED:
+        try:
+            check_pieces(session, StackRequest(bottoms=("ring",), strategy=name))
+        except InputError:
+            refused.append(name)
+    assert refused == ["fused", "fused-wrench"]

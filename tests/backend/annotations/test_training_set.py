@@ -189,7 +189,7 @@ def test_nothing_labelled_says_what_to_do(tmp_path):
     folder = tmp_path / "data"
     with Dataset.open(folder) as dataset:
         add(dataset, Label(1, 1, 0, 1))
-    with pytest.raises(InputError, match="--labels submitted or drafts"):
+    with pytest.raises(InputError, match="train on labels that are submitted or drafts"):
         load_training_set(folder)
     assert is_dataset(folder)
     with pytest.raises(InputError, match="only of pot"):
@@ -236,7 +236,7 @@ def test_the_train_verb_takes_a_dataset(tmp_path, capfd):
     out = tmp_path / "pot.safetensors"
     words = ["train", str(folder), "--epochs", "1", "--out", str(out), "--json"]
     assert main(words) == 2
-    assert "--labels" in capfd.readouterr().err
+    assert "train on labels that are" in capfd.readouterr().err
     assert main([*words, "--labels", "drafts"]) == 2
     assert "--divide-series" in capfd.readouterr().err, "one series cannot be kept apart"
     assert main([*words, "--labels", "drafts", "--divide-series"]) == 0

@@ -512,7 +512,7 @@ def test_an_opening_reports_its_progress_on_standard_error(
     (tmp_path / "rows.csv").write_text("episode\n", "utf-8")
     with closing(sqlite3.connect(data_set / "catalog.db")) as connection, connection:
         connection.execute("DELETE FROM checked_folder")  # as after a crash
-    names = {"DATASET": str(data_set), "OUT": str(tmp_path / "model")}
+    names = {"DATASET": str(data_set), "OUT": str(tmp_path / "model.safetensors")}
     words = [names.get(word, word) for word in words]
     where = [] if words[0] == "train" else ["--dataset", str(data_set)]
     main([*words, *where, "--json"])

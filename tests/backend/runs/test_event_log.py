@@ -380,13 +380,13 @@ def test_a_change_holds_from_now_on_and_is_said_and_logged(session, tmp_path):
     with pytest.raises(RefusedError, match=r"40\.0 mm/s"):
         session.hand.jog.renew(JogOrder(1, 1, session.clock_s(), "z", "XYZ", 40.0))
     log_limit_change(
-        tmp_path / "runs", "Bench 2", "ben", LOWER, LOWER.model_copy(update={"press_n": 20.0})
+        tmp_path / "runs", "Bench 2", "ben", LOWER, LOWER.model_copy(update={"probe_n": 20.0})
     )
     log = (tmp_path / "runs" / LIMIT_LOG_NAME).read_text().splitlines()
     first, second = map(json.loads, log)
     assert (first["person"], first["changed"]) == ("anna", {"jog_mm_s": [50.0, 30.0]})
     assert (second["bench"], second["person"]) == ("Bench 2", "ben")
-    assert second["changed"] == {"press_n": [25.0, 20.0]}
+    assert second["changed"] == {"probe_n": [30.0, 20.0]}
 
 
 def test_nothing_changes_while_the_arm_is_moved(session):

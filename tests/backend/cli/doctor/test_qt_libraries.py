@@ -30,7 +30,8 @@ def _run(monkeypatch, *checks, as_json=True):
         look.__name__ = "check_something"
     stream = io.StringIO()
     code = command.run(
-        Namespace(bench=None, dataset=None, bundle=None), VerbOutput(json=as_json, stream=stream)
+        Namespace(bench=None, dataset=None, bundle=None, with_pictures=False, with_names=False),
+        VerbOutput(json=as_json, stream=stream),
     )
     return code, stream.getvalue()
 
@@ -56,7 +57,13 @@ def test_a_damaged_installation_does_not_end_the_doctor(monkeypatch):
     monkeypatch.setattr(command, "EXAMINATIONS", (check_data_folder, lambda: GOOD))
     stream = io.StringIO()
     screen = VerbOutput(json=True, stream=stream)
-    assert command.run(Namespace(bench=None, dataset=None, bundle=None), screen) == 1
+    assert (
+        command.run(
+            Namespace(bench=None, dataset=None, bundle=None, with_pictures=False, with_names=False),
+            screen,
+        )
+        == 1
+    )
     first, second = json.loads(stream.getvalue())["checks"]
     assert (first["name"], first["ok"], first["fix"]) == ("data folder", False, "make setup")
     assert second["ok"]

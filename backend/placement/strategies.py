@@ -483,7 +483,7 @@ def check_outlines(settings: StackSettings, pieces: Iterable[Piece]) -> None:
                 f"The network of 'fused' knows convex outlines only; '{piece.name}' has holes, "
                 "notches or several parts.",
                 "strategy",
-                "Choose another strategy, such as paper.",
+                "Choose learned fusion for any outline (fused-any), or paper.",
             )
 
 

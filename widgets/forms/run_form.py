@@ -122,7 +122,7 @@ class RunPanel(base.Panel):
         )
         fields.add_wide(
             4,
-            ("Strategy", self._strategy, "The paper's method, a variant, or no probing"),
+            ("Strategy", self._strategy, "The paper's method, learned fusion, or no probing"),
             ("Model", self._model, ""),
             ("Mode", self._mode, "Moves that wait for your approval"),
         )

@@ -85,8 +85,10 @@ def test_stack_and_operate_show_it(live, bench, mine):
     model, card = mine
     run, probe = (live.workspaces["stack"].page.run, live.workspaces["operate"].page.probe)
     assert run._model.text().startswith("shipped")
-    run.show_form(RunForm(strategy="fused"))
-    assert run._model.text() == "its own, shipped"
+    for name in LEARNED:
+        run.show_form(RunForm(strategy=name))
+        assert run._model.text() == "its own, shipped"
+        assert run._certificate.text().startswith("No certificate for this bench"), name
     run.show_form(RunForm())
     ModelRegistry(models_folder()).promote(model)
     live.go("operate")

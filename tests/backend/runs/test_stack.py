@@ -22,6 +22,7 @@ from touchdown.backend.core import (
     Said,
     TrialFinished,
 )
+from touchdown.backend.experiments.run_report import run_text
 from touchdown.backend.geometry import load_pieces, regions
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs import LEARNED, RecordingOptions, StackRequest, messages, probe, stack
@@ -240,7 +241,11 @@ def test_the_certified_strategy_is_covered_on_its_bench() -> None:
             is not None
             for name in LEARNED
         }
+        plan = stack.stack_run(session, StackRequest(strategy="fused-certified"))
+        started, said = next(plan), next(plan)
     assert [name for name, there in covered.items() if there] == ["fused-certified"]
+    assert said.text.startswith("Unsafe \N{LESS-THAN OR EQUAL TO} 0.5 % of releases (95 %)")
+    assert "strategy fused-certified, network any, seed 0" in run_text(started)
 
 
 def test_only_networks_for_any_outline_take_a_ring() -> None:

@@ -106,13 +106,13 @@ class DevicesSheet(BenchSheet):
                 editor.setPlaceholderText(tr(one.empty))
             editor.setAccessibleName(f"{tr(one.device)}: {tr(one.title)}")
             if one.beside:
-                add_items(row, field_label(one.title, editor), (editor, 1))
+                add_items(row, field_label(one.title, editor), (editor, 2))
                 continue
             if one.device != device:
                 grid.addWidget(label(one.device, "title"), at, 0)
             device = one.device
             grid.addWidget(field_label(one.title, editor), at, 1)
-            row = hbox((editor, 2), spacing=16)
+            row = hbox((editor, 5), spacing=8)
             grid.addLayout(row, at, 2)
         grid.setContentsMargins(0, 0, 8, 0)
         self._form.setLayout(grid)
@@ -134,17 +134,17 @@ ANY = "any"
 FIELDS = (
     DeviceField("ft.driver", "F/T", "Make", chosen=True),
     DeviceField("ft.address", "F/T", "Port or address", chosen=True),
-    DeviceField("serials.force_torque", "F/T", "Serial number expected", empty=ANY),
+    DeviceField("serials.force_torque", "F/T", "Expected serial", empty=ANY),
     DeviceField(LEFT, "Tactile L", "Serial number", chosen=True),
     DeviceField(RIGHT, "Tactile R", "Serial number", chosen=True),
     DeviceField("wsg.driver", "Gripper", "Make", chosen=True),
     DeviceField("wsg.host", "Gripper", "Address"),
     DeviceField("wsg.port", "Gripper", "Port", beside=True),
-    DeviceField("serials.gripper", "Gripper", "Serial number expected", empty=ANY),
+    DeviceField("serials.gripper", "Gripper", "Expected serial", empty=ANY),
     DeviceField("melfa.driver", "Arm", "Make", chosen=True),
     DeviceField("melfa.host", "Arm", "Address"),
     DeviceField("melfa.r3.port", "Arm", "Port", beside=True),
-    DeviceField("serials.arm", "Arm", "Serial number expected", empty=ANY),
+    DeviceField("serials.arm", "Arm", "Expected serial", empty=ANY),
 )
 
 

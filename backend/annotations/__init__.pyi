@@ -61,7 +61,6 @@ from .run_tracking import read_run_info as read_run_info
 from .run_tracking import run_folders as run_folders
 from .storage import DISK_FULL_ERRNOS as DISK_FULL_ERRNOS
 from .storage import NotWritableError as NotWritableError
-from .storage import WriterLock as WriterLock
 from .storage import check_free_space as check_free_space
 from .storage import free_bytes_if_low as free_bytes_if_low
 from .training_set import LABEL_CHOICES as LABEL_CHOICES

@@ -19,6 +19,7 @@ from touchdown.backend.annotations.database import (
     add_event,
 )
 from touchdown.backend.annotations.operation_log import newest_operations
+from touchdown.backend.annotations.storage import WriterLock
 from touchdown.backend.core import Fault, FaultError, InputError, make_folder, sync_folder
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
@@ -163,8 +164,9 @@ class BackupStore:
 def restore_backup(dataset: Path, backup: Path) -> Path | None:
     """Replace the catalogue by ``backup``; return the new path of the old catalogue.
 
-    The dataset must not be open. The next opening replays the journal, so no label is lost. Raises
-    ``InputError`` for a damaged backup, or one of another dataset.
+    The next opening replays the journal, so no label is lost. A dataset without a journal takes any
+    backup. Raises ``InputError`` for a damaged backup, or one of another dataset, and
+    ``DatasetInUseError`` if the dataset is open.
     """
     sites = check_backup(backup)
     journals = {path.stem for path in (dataset / "labels").glob("*.jsonl")}
@@ -174,9 +176,10 @@ def restore_backup(dataset: Path, backup: Path) -> Path | None:
     if sites and journals and not any(site in journals or site in own for site in sites):
         raise _bad(backup, "it is of another dataset")
     part = dataset / f".{CATALOGUE_FILE}.tmp"
-    with _disk_errors(dataset):
-        shutil.copyfile(backup, part)
-    return put_in_place(dataset, part)
+    with closing(WriterLock.take(dataset)):
+        with _disk_errors(dataset):
+            shutil.copyfile(backup, part)
+        return put_in_place(dataset, part)
 
 
 def put_in_place(dataset: Path, part: Path) -> Path | None:

@@ -12,7 +12,8 @@ from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
-from touchdown.backend.cli.output import VerbOutput, person_of, progress_lines
+from touchdown.backend.cli.dataset import dataset_to_fill
+from touchdown.backend.cli.output import VerbOutput, person_of
 from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
@@ -25,6 +26,7 @@ from touchdown.backend.runs import (
     labelled_coverage,
     mounting_question,
     newest_campaign,
+    read_campaign,
     read_examined_episodes,
 )
 
@@ -39,8 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file"
     )
-    parser.add_argument("--pattern", choices=("random", "grid", "adaptive"), default="random")
-    parser.add_argument("--within", type=float, metavar="MM", help="largest displacement in x, y")
+    parser.add_argument(
+        "--pattern", choices=("random", "grid", "adaptive"), help="(default: random)"
+    )
+    parser.add_argument(
+        "--within", type=float, dest="within_mm", metavar="MM", help="largest displacement in x, y"
+    )
     parser.add_argument("--seed", type=int, help="of the displacements (default: a new one)")
     limits = CollectSettings()
     parser.add_argument(
@@ -70,8 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Collect; return 0 if every probe of the plan was recorded or skipped on purpose, else 1."""
     connection.refuse_misplaced_arguments(args)
-    connection.fill_in_scene(args, BOTTOM)
-    plan = _plan(args)
     # A real bench has no jig: the operator hands the piece over.
     args.hand_over |= connection.at_lab(args)
     connection.refuse_hidden_prompt(args, screen)
@@ -79,12 +83,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
     person = person_of(args)
-    with Dataset.open(
-        folder, create=not args.resume, person=person, progress=progress_lines()
-    ) as dataset:
-        for notice in dataset.notices:
-            screen.say(notice)
-        request = _request(args, plan, dataset, person)
+    with dataset_to_fill(folder, person, screen, create=not args.resume) as dataset:
+        request = _request(args, dataset, person)
 
         def prepare(session: Session) -> CollectRequest:
             session.dataset = dataset
@@ -152,21 +152,34 @@ def _plan(args: argparse.Namespace) -> RecordingPlan | None:
         return None
     shipped = PLANS / f"{args.plan}.toml"
     plan = read_settings(RecordingPlan, shipped if shipped.is_file() else Path(args.plan))
-    for name in ("count", "probes_per_grip", "grips_per_mounting"):
+    for name in ("count", "within_mm", "probes_per_grip", "grips_per_mounting"):
         if getattr(args, name) is None:
             setattr(args, name, getattr(plan, name))
-    args.within = plan.within_mm if args.within is None else args.within
     return plan
 
 
-def _request(
-    args: argparse.Namespace, plan: RecordingPlan | None, dataset: Dataset, person: str
-) -> CollectRequest:
-    campaign = newest_campaign(dataset.folder) if args.resume else ""
-    if campaign is None:
-        raise core.InputError(
-            "This dataset has no campaign.", str(dataset.folder), "Collect without --resume."
-        )
+def _campaign(args: argparse.Namespace, folder: Path) -> str:
+    """Return the campaign to resume, or ""; raises ``InputError`` if arguments contradict it."""
+    if not args.resume:
+        return ""
+    if (uuid := newest_campaign(folder)) is None:
+        what, fix = "This dataset has no campaign.", "Collect without --resume."
+        raise core.InputError(what, str(folder), fix)
+    campaign = read_campaign(folder, uuid)
+    for name in ("piece", "bottom", "count", "pattern", "seed", "within_mm"):
+        given, stored = getattr(args, name), getattr(campaign, name)
+        if given not in (None, stored):
+            flag = f"--{name.removesuffix('_mm')}"
+            begun = f"no {flag}" if stored is None else f"{flag} {stored}"
+            fix = "Leave it out, or begin another campaign without --resume."
+            raise core.InputError(f"The campaign was begun with {begun}, not {given}.", flag, fix)
+    return uuid
+
+
+def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> CollectRequest:
+    campaign = _campaign(args, dataset.folder)
+    connection.fill_in_scene(args, BOTTOM)
+    plan = _plan(args)
     named = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}
     return CollectRequest(
         **({} if plan is None else plan.model_dump(include=named)),
@@ -174,9 +187,9 @@ def _request(
         bottom=args.bottom,
         count=args.count,
         seed=fresh_seed() if args.seed is None else args.seed,
-        pattern=args.pattern,
+        pattern=args.pattern or "random",
         person=person,
-        within_mm=args.within,
+        within_mm=args.within_mm,
         origin_mm=(args.origin[0], args.origin[1]),
         origin_sigma_mm=args.origin_sigma,
         check_origin=args.check_origin,

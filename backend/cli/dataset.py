@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 from touchdown.backend.annotations import (
     ConsistencyProblem,
     Dataset,
+    EpisodeFilter,
     NotWritableError,
-    WriterLock,
     list_backups,
     list_campaigns,
     rebuild_dataset,
@@ -21,7 +22,30 @@ from touchdown.backend.annotations import (
 )
 from touchdown.backend.cli.output import VerbOutput, person_of, progress_lines
 from touchdown.backend.core import InputError
-from touchdown.backend.runs import dataset_folder
+from touchdown.backend.runs import dataset_folder, newest_campaign
+
+
+@contextmanager
+def dataset_to_fill(
+    folder: Path, person: str, screen: VerbOutput, *, create: bool
+) -> Iterator[Dataset]:
+    """Open a dataset or make it; a new one in which nothing is stored is removed at the end."""
+    removed = False
+    try:
+        is_new, progress = not folder.exists(), progress_lines()
+        with Dataset.open(folder, create=create, person=person, progress=progress) as dataset:
+            for notice in dataset.notices:
+                screen.say(notice)
+            try:
+                yield dataset
+            finally:
+                stored = newest_campaign(folder) or dataset.episodes(
+                    EpisodeFilter(deleted=None, limit=1)
+                )
+                removed = is_new and not stored
+    finally:
+        if removed:
+            shutil.rmtree(folder)
 
 
 def examine_only(folder: Path, screen: VerbOutput) -> int:
@@ -72,15 +96,17 @@ def backup(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 
 def restore(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Restore a backup; later labels are read back from the journal."""
-    with closing(WriterLock.take(folder)):
-        aside = restore_backup(folder, args.other)
-    with Dataset.open(folder, create=False, progress=progress_lines()) as dataset:
-        notices = dataset.notices
+    lost = not any((folder / "labels").glob("*.jsonl"))
+    aside = restore_backup(folder, args.other)
+    with Dataset.open(folder, progress=progress_lines()) as dataset:
+        notices = list(dataset.notices)
         dataset.resolve(person_of(args), "replay")
+    if lost:
+        notices.append("There were no labels here: the dataset now has those of the backup.")
     for line in (*notices, f"Restored from {args.other}; the previous catalogue: {aside}."):
         screen.say(line)
-    answer = {"dataset": str(folder), "restored": str(args.other), "former": str(aside)}
-    screen.result({**answer, "notices": list(notices)})
+    answer = {"dataset": str(folder), "restored": str(args.other)}
+    screen.result({**answer, "former": aside and str(aside), "notices": notices})
     return 0
 
 
@@ -164,11 +190,8 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
 def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     """Merge labels and episodes of another copy of the dataset."""
     person = person_of(args)
-    with Dataset.open(folder, create=False, person=person, progress=progress_lines()) as dataset:
-        notices = dataset.notices
+    with dataset_to_fill(folder, person, screen, create=False) as dataset:
         done = dataset.merge(person, args.other)
-    for notice in notices:
-        screen.say(notice)
     screen.say(f"{done.operations} label operations and {done.episodes} episodes are new here.")
     if done.conflicts:
         screen.say(f"{len(done.conflicts)} episodes have two labels: resolve them in the window.")

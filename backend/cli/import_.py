@@ -7,7 +7,8 @@ from pathlib import Path
 
 from touchdown.backend import exchange, experiments
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.cli.output import VerbOutput, check_output, person_of, progress_lines
+from touchdown.backend.cli.dataset import dataset_to_fill
+from touchdown.backend.cli.output import VerbOutput, check_output, person_of
 from touchdown.backend.core import InputError, Recording, write_atomically
 from touchdown.backend.runs import dataset_folder
 
@@ -64,11 +65,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         raise InputError("Labels need a person.", "--person", "Name who made them.")
     folder = Path(args.dataset) if args.dataset else dataset_folder()
     actor = person_of(args)
-    with Dataset.open(
-        folder, create=args.format in EPISODES, person=actor, progress=progress_lines()
-    ) as dataset:
-        for notice in dataset.notices:
-            screen.say(notice)
+    with dataset_to_fill(folder, actor, screen, create=args.format in EPISODES) as dataset:
         if args.format in EPISODES:
             return _episodes(args, dataset, actor, screen)
         return _labels(args, dataset, screen)

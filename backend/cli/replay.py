@@ -65,6 +65,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         elif isinstance(fact, ProbeCollected):
             probes.append(fact)
         narrate(fact, screen)
+    if not counts:
+        raise InputError("This event log has no events.", str(folder), "Name another run.")
     if head is None or head.activity == "stack" or trials:
         screen.show(trial_table(trials))
     elif head.activity == "collect":

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import shlex
+import shutil
 import sqlite3
 import sys
 from argparse import ArgumentParser
@@ -28,7 +29,7 @@ from touchdown.backend.calibration.result import (
     CalibrationEstimate,
     Quantity,
 )
-from touchdown.backend.cli import calibrate, collect, dataset, import_, main, stack, train
+from touchdown.backend.cli import calibrate, collect, dataset, main, stack, train
 from touchdown.backend.cli.bench import _show_timing
 from touchdown.backend.cli.collect import coverage_text
 from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
@@ -279,7 +280,7 @@ def test_each_campaign_has_a_seed_of_its_own_unless_one_is_named(data_set) -> No
 
     def seed(*words: str) -> int:
         with Dataset.open(data_set, write=False) as opened:
-            return collect._request(parser.parse_args(list(words)), None, opened, "ann").seed
+            return collect._request(parser.parse_args(list(words)), opened, "ann").seed
 
     assert seed() != seed()
     assert (seed("--seed", "7"), seed("--seed", "0")) == (7, 0)
@@ -298,7 +299,15 @@ def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     assert first["ending"] == "failed"
     assert (first["faults"] != [], first["seed"]) == (True, 0)
     assert (first["collected"], first["count"], first["simulated"]) == (1, 2, True)
-    assert main(["collect", "--resume", "--person", "bob", *words]) == 0
+    for name, value in (("piece", "mushroom"), ("bottom", "short"), ("count", "3"), ("seed", "7"),
+                        ("pattern", "grid"), ("within", "2")):  # fmt: skip
+        capsys.readouterr()
+        assert main(["collect", "--resume", f"--{name}", value, *words]) == 2
+        assert f"The campaign was begun with {'no ' * (name == 'within')}--{name}" in (
+            " ".join(capsys.readouterr().err.split())
+        )
+    same = ["--piece", "pot", "--count", "2"]
+    assert main(["collect", "--resume", "--person", "bob", *same, *words]) == 0
     second = capsys.readouterr().out
     for said in (first["campaign"], "2 of 2 probes are done.", "no findings"):
         assert said in second
@@ -320,6 +329,7 @@ def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
         (["--piece", "cup"], "no piece 'cup'"),
         (["--probes-per-grip", "0"], "'probes_per_grip': Input should be greater than or"),
         (["--preset", "calm"], "no preset 'calm'"),
+        (["--within", "0.001"], "Not enough displacements within 0.001 mm"),
         (["--hand-over", "--json"], "With --json the prompt"),
     ],
 )
@@ -329,6 +339,7 @@ def test_bad_input_is_one_clear_error(words, said, tmp_path, capsys) -> None:
     out, err = capsys.readouterr()
     assert (out, said in err) == ("", True)
     assert err.count("\n") <= 3
+    assert not (tmp_path / "ds").exists(), "no empty dataset is left"
 
 
 def test_a_dataset_that_cannot_be_made_is_one_clear_error(tmp_path, capsys) -> None:
@@ -499,8 +510,8 @@ def test_verify_reports_progress_on_standard_error(data_set, capfd, monkeypatch)
 @pytest.mark.parametrize(
     ("module", "words"),
     [
-        (collect, ["collect", "--count", "0"]),
-        (import_, ["import", "csv", "rows.csv", "--person", "ann"]),
+        (dataset, ["collect", "--count", "0"]),
+        (dataset, ["import", "csv", "rows.csv", "--person", "ann"]),
         (train, ["train", "DATASET", "--piece", "pot", "--out", "OUT", "--epochs", "1"]),
     ],
 )
@@ -547,6 +558,24 @@ def test_back_up_and_restore(data_set, say) -> None:
     assert any("replayed" in notice for notice in answer["notices"])
     with Dataset.open(data_set) as dataset:
         assert dataset.labels.head(uuid).label.x_um == 77
+
+
+@pytest.mark.parametrize("made", [True, False])
+def test_a_dataset_without_labels_takes_those_of_any_backup(data_set, say, tmp_path, made) -> None:
+    copy = say("dataset", "backup", "--dataset", data_set)[1]["backup"]
+    new = tmp_path / "new"
+    if made:
+        Dataset.open(new).close()
+    code, answer = say("dataset", "restore", copy, "--dataset", new)
+    assert (code, answer["former"] is None) == (0, not made)
+    assert "There were no labels here" in answer["notices"][-1]
+    for part in ("raw", "geometry"):
+        shutil.copytree(data_set / part, new / part, dirs_exist_ok=True)
+    assert say("dataset", "verify", "--resolve", "--dataset", new)[0] == 0
+    code, answer = say("dataset", "restore", copy, "--dataset", new)
+    assert not any("There were no labels" in notice for notice in answer["notices"])
+    assert say("dataset", "restore", "none.db", "--dataset", tmp_path / "typo")[0] == 2
+    assert not (tmp_path / "typo").exists()
 
 
 def test_rebuild_compares_and_replaces(data_set, say) -> None:

@@ -188,6 +188,10 @@ def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
     assert main([*words, str(bad), "--preview", str(page)]) == 1
     assert "sign ('acts_on') or frame ('axes') of 'wrench'" in capsys.readouterr().out
     assert "Fz falls by 7.5 N while the arm goes down" in page.read_text("utf-8")
+    assert main([*words, str(MAP), "--check"]) == 0
+    bad.write_text("wrench = 1", "utf-8")
+    assert main([*words, str(bad)]) == main([*words, str(MAP), "--piece", "cup"]) == 2
+    assert not (tmp_path / "ds").exists(), "no empty dataset is left"
     assert main([*words, str(MAP), "--preview", str(page)]) == 0
     drawn = page.read_text("utf-8")
     assert "<p>None.</p>" in drawn

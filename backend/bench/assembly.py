@@ -19,7 +19,7 @@ from touchdown.backend.config import (
     StackSettings,
     bench_sha256,
     describe_simulation,
-    read_settings,
+    load_simulation,
 )
 from touchdown.backend.core import InputError, Pose, RawStreams, program_version
 from touchdown.backend.emulation import parse_script
@@ -83,7 +83,7 @@ class SimulatedBenchChoice:
                 raise InputError(
                     "A settings file and a preset were both given.", "--preset", "Give one of them."
                 )
-            return read_settings(SimulationSettings, self.file)
+            return load_simulation(self.file)
         name = self.preset or "mixed"
         if name not in PRESETS:
             fix = f"Choose one of {', '.join(PRESETS)}."

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.backend.bench.emulator_registry import bench_toml
-from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings
+from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings, read_toml
 from touchdown.backend.core import (
     FINGERS,
     IDENTITY_ROTATION,
@@ -35,7 +35,9 @@ from touchdown.backend.core import (
     Finger,
     FloatArray,
     ImageArray,
+    InputError,
     Pose,
+    parse_toml,
     pose_rotation,
     rotation_vector,
     set_realtime_priority,
@@ -444,8 +446,14 @@ def serve_bench(
 
     ``folder`` takes the links of sensor and cameras, and the bench file. The wrist sensor is on a
     pseudo terminal or, without ``terminal``, on a TCP port: a thread of the system without
-    priority carries the bytes of a terminal, late on a busy computer. Raises ``OSError``.
+    priority carries the bytes of a terminal, late on a busy computer. Raises ``OSError``, and
+    ``InputError`` for a bench file of other origin in ``folder``.
     """
+    file, fingers = folder / BENCH_FILE, camera_tables(folder, SERIALS)
+    own = parse_toml(bench_toml(fingers))["gelsight"]
+    if file.exists() and read_toml(file).get("gelsight") != own:
+        what = "This command did not write the file; it would be replaced."
+        raise InputError(what, str(file), "Name another folder.")
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
     emulated = EmulatedScene(scene, settings.melfa)
     folder.mkdir(parents=True, exist_ok=True)
@@ -477,9 +485,9 @@ def serve_bench(
         **melfa_tables(arm),
         "wsg": {"host": host, "port": gripper.address[1]},
         "ft": {"driver": "dynpick", "address": sensor.url, "latency_ms": 1e3 * LATENCY_S},
-        **camera_tables(folder, SERIALS),
+        **fingers,
     }
-    (folder / BENCH_FILE).write_text(bench_toml(tables), "utf-8")
+    file.write_text(bench_toml(tables), "utf-8")
     return emulated, Emulation((arm, gripper, sensor, *cameras), tables)
 
 

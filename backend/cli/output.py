@@ -258,10 +258,15 @@ def check_output(path: Path, suffix: str, *inputs: Path | None) -> None:
         raise InputError("The output would replace an input.", str(path), "Name another file.")
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a new file; raises ``InputError`` if ``path`` exists, ``OSError`` of the disk."""
+def check_new(path: Path) -> None:
+    """Raise ``InputError`` if ``path`` exists."""
     if path.exists():
         raise InputError("The file exists already.", str(path), "Name a new file.")
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a new file; raises ``InputError`` if ``path`` exists, ``OSError`` of the disk."""
+    check_new(path)
     write_atomically(path, text.encode("utf-8"))
 
 

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from touchdown.backend.cli.output import VerbOutput, write_new
-from touchdown.backend.config import StackSettings, parse_settings, read_toml
+from touchdown.backend.config import StackSettings, parse_settings, read_toml, refuse_other_kind
 from touchdown.backend.core import InputError
 
 # Tables that 0.1.0 wrote for strategies that are gone.
@@ -47,6 +47,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 def load_method(path: Path) -> StackSettings:
     """Return the settings of the file ``path``; ``InputError`` names file and key."""
     content = read_toml(path)
+    refuse_other_kind(content, path, "file with settings of the method")
     content = {key: value for key, value in content.items() if key not in REMOVED_TABLES}
     for key in sorted(RUN_ARGUMENTS & content.keys()):
         raise InputError(

@@ -46,6 +46,7 @@ from .simulation import SurfaceSettings as SurfaceSettings
 from .simulation import TactileSettings as TactileSettings
 from .simulation import WristSettings as WristSettings
 from .simulation import load_simulation as load_simulation
+from .simulation import refuse_other_kind as refuse_other_kind
 from .simulation import settings_with as settings_with
 from .toml_file import first_error as first_error
 from .toml_file import first_error_message as first_error_message

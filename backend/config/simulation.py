@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from touchdown.backend.config.hardware import LAB_FILE_KEYS
-from touchdown.backend.config.method import NonNegative, Positive, Settings
+from touchdown.backend.config.method import NonNegative, Positive, Settings, StackSettings
 from touchdown.backend.config.toml_file import parse_settings, read_toml
 from touchdown.backend.core import InputError
 
@@ -242,12 +242,22 @@ def load_simulation(file: Path | None = None, preset: str | None = None) -> Simu
     ``preset`` replaces the preset of the file. Raises ``InputError``.
     """
     content = {} if file is None else read_toml(file)
-    if LAB_FILE_KEYS & content.keys():
-        fix = "Name a file with settings of the simulated bench."
-        raise InputError("This is a lab file, and the bench is simulated here.", str(file), fix)
+    refuse_other_kind(content, file, "file of a simulated bench")
     if preset is not None:
         content["preset"] = preset
     return parse_settings(SimulationSettings, content, str(file) if file else "--preset")
+
+
+def refuse_other_kind(content: Mapping[str, Any], file: Path | None, needed: str) -> None:
+    """Raise ``InputError`` if the keys of a file are those of another kind than ``needed``."""
+    kinds = {
+        "lab file": LAB_FILE_KEYS,
+        "file of a simulated bench": SimulationSettings.model_fields.keys(),
+        "file with settings of the method": StackSettings.model_fields.keys(),
+    }
+    for kind, keys in kinds.items():
+        if content.keys() & keys and not content.keys() & kinds[needed]:
+            raise InputError(f"This is a {kind}.", str(file), f"Name a {needed}.")
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ ExportState = Literal["approved", "submitted", "draft"]
 EXPORT_STATES: tuple[ExportState, ...] = get_args(ExportState)
 
 TRAIN, HELD_OUT = "train", "held_out"
+MAX_LISTED = 12  # names in an error
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +160,15 @@ def _drawn(entries: Sequence[EpisodeEntry], query: ExportQuery) -> Split:
 
 
 def _nothing(dataset: Dataset, query: ExportQuery, left_out: Counter[str]) -> InputError:
+    where, entries = f"{dataset.folder}: {query.text()}", dataset.episodes()
+    for name in ("piece", "bottom", "series", "campaign"):
+        wanted, known = getattr(query, name), sorted({getattr(entry, name) for entry in entries})
+        if wanted is not None and wanted not in known:
+            fix = f"It has {', '.join(known[:MAX_LISTED]) or 'no episodes'}."
+            return InputError(f"The dataset has no {name} '{wanted}'.", where, fix)
     others = [state for state in EXPORT_STATES if state not in query.states]
     fix = "Label and approve some"
     fix += f", or add --states {','.join((*query.states, *others))}." if others else "."
     why = "; ".join(f"{count}: {reason}" for reason, count in sorted(left_out.items()))
     what = "No episode can be exported" + (f" ({why})." if why else ".")
-    return InputError(what, f"{dataset.folder}: {query.text()}", fix)
+    return InputError(what, where, fix)

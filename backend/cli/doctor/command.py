@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from touchdown.backend.cli.doctor.qt_libraries import missing_libraries, packages_for
-from touchdown.backend.cli.output import VerbOutput
+from touchdown.backend.cli.output import VerbOutput, check_new
 from touchdown.backend.core import InputError, check_writable, data_folder, package_version
 
 if TYPE_CHECKING:
@@ -397,6 +397,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if (args.with_pictures or args.with_names) and args.bundle is None:
         what, where = "These belong to a problem report.", "--with-pictures, --with-names"
         raise InputError(what, where, "Add --bundle FILE.zip.")
+    if args.bundle is not None:
+        check_new(args.bundle)
     if args.dataset is not None:
         folder = Path(args.dataset) if args.dataset else dataset_folder()
         return examine_only(folder, screen)

@@ -17,6 +17,7 @@ from contextlib import suppress
 from importlib.metadata import distributions
 from pathlib import Path
 
+from touchdown.backend.cli.output import check_new
 from touchdown.backend.cli.replay import find_run
 from touchdown.backend.core import (
     InputError,
@@ -73,8 +74,7 @@ def write_report(
                 texts[name] = content.decode(errors="replace")
     texts["README.txt"] = "\n".join(lines)
     clean = str if names else _redaction(texts.values())
-    if out.exists():
-        raise InputError("The file exists already.", str(out), "Name a new file.")
+    check_new(out)
     target = io.BytesIO()
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in binary.items():

@@ -28,6 +28,7 @@ from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench import Session
 from touchdown.backend.cli import command_line, simulate
 from touchdown.backend.cli.command_line import VERBS, main
+from touchdown.backend.cli.doctor import command
 from touchdown.backend.cli.doctor.command import check_catalogue
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.core import program_version
@@ -102,6 +103,10 @@ def test_garbage_is_no_journal(tmp_path, capsys) -> None:
     said = capsys.readouterr().err
     assert "not a Touchdown event log" in said
     assert "before it" not in said
+    for start in ("", '{"format":1,', '{"format":1,"program":"touchdown"}\n'):
+        (tmp_path / "journal.jsonl").write_text(start)
+        assert main(["replay", str(tmp_path)]) == 2
+        assert "has no events" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -347,6 +352,21 @@ def test_bad_wishes_are_refused(words, why, exchange, say, tmp_path) -> None:
     assert code == 2
     assert why.format(tmp=tmp_path) in answer["error"]["where"]
     assert answer["error"]["fix"]
+
+
+@pytest.mark.parametrize(
+    ("name", "has"), [("piece", "pot"), ("bottom", "circle15"), ("series", ""), ("campaign", "")]
+)
+def test_an_export_of_what_the_dataset_lacks_names_what_it_has(
+    name, has, exchange, say, tmp_path
+) -> None:
+    words = ["export", "csv", "--out", tmp_path / "o", f"--{name}", "barrel", "--dataset"]
+    error = say(*words, exchange)[1]["error"]
+    assert error["what"] == f"The dataset has no {name} 'barrel'."
+    assert has in error["fix"]
+    assert error["fix"].startswith("It has ")
+    Dataset.open(tmp_path / "empty").close()
+    assert say(*words, tmp_path / "empty")[1]["error"]["fix"] == "It has no episodes."
 
 
 def test_two_shards_make_one_experiment(tmp_path, capsys, monkeypatch) -> None:
@@ -805,6 +825,23 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
     assert (answer["activity"], [p["item"] for p in answer["probes"]]) == ("collect", [4, 7])
 
 
+@pytest.mark.parametrize(
+    ("words", "content", "what"),
+    [
+        ("settings --method {file}", "kind = 'hardware'", "a lab file"),
+        ("settings --method {file}", "preset = 'quiet'", "a file of a simulated bench"),
+        ("stack --method {file}", "[gelsight]", "a lab file"),
+        ("stack --bench {file}", "[stability]", "a file with settings of the method"),
+    ],
+)
+def test_a_settings_file_of_another_kind_is_named(words, content, what, tmp_path, capsys) -> None:
+    file = tmp_path / "file.toml"
+    file.write_text(content, "utf-8")
+    assert main([*words.format(file=file).split(), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert (error["what"], error["where"]) == (f"This is {what}.", str(file))
+
+
 def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) -> None:
     method = tmp_path / "old.toml"
     method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
@@ -832,17 +869,19 @@ def test_an_unknown_network_is_an_error_that_lists_the_names(tmp_path, capsys) -
         ("identify {tmp} --out {lab}", "lab.toml", "would be replaced"),
         ("identify {tmp} --bench {bench} --out {bench}", "bench.toml", "would replace"),
         ("doctor --dataset {tmp} --bench {bench}", "--bench, --dataset", "separate"),
+        ("doctor --bundle {own}", "own.mcap", "exists already"),
         ("doctor --with-names", "--with-pictures, --with-names", "problem report"),
         ("models --seed -1 --out {new}", "--seed", "at least 0"),
     ],
 )
 def test_an_output_replaces_no_input_and_no_file_of_another_kind(
-    words, where, what, tmp_path, capsys
+    words, where, what, tmp_path, capsys, monkeypatch
 ):
     files = {"own": "own.mcap", "film": "film.mp4", "lab": "lab.toml", "bench": "bench.toml"}
     paths = {name: tmp_path / file for name, file in files.items()}
     for name, path in paths.items():
         path.write_text({"lab": "kind = 'hardware'"}.get(name, ""), "utf-8")
+    monkeypatch.setattr(command, "EXAMINATIONS", (lambda: pytest.fail("examined first"),))
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     assert main([*words.format(tmp=tmp_path, new=tmp_path / "new", **paths).split(), "--json"]) == 2
     error = json.loads(capsys.readouterr().err)["error"]

@@ -149,6 +149,15 @@ def test_a_bench_leaves_its_file_in_the_folder(tmp_path, capsys):
     hardware = read_settings(HardwareSettings, tmp_path / "bench.toml")
     assert hardware.ft.address == told["ft"]["address"]
     assert hardware.wsg.port == told["wsg"]["port"]
+    words = ["emulate", "bench", "--folder", str(tmp_path), "--for", "0.02"]
+    assert main(words) == 0, "its own file is replaced"
+    file = tmp_path / "bench.toml"
+    for other in ("[grasp]\nslip = false\n", file.read_text("utf-8") + "mm_per_px_x = 0.05\n", "?"):
+        file.write_text(other, "utf-8")
+        capsys.readouterr()
+        assert main(words) == 2
+        assert str(file) in capsys.readouterr().err
+        assert file.read_text("utf-8") == other
 
 
 def _screen(*, as_json):

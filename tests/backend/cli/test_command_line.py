@@ -354,21 +354,6 @@ def test_bad_wishes_are_refused(words, why, exchange, say, tmp_path) -> None:
     assert answer["error"]["fix"]
 
 
-@pytest.mark.parametrize(
-    ("name", "has"), [("piece", "pot"), ("bottom", "circle15"), ("series", ""), ("campaign", "")]
-)
-def test_an_export_of_what_the_dataset_lacks_names_what_it_has(
-    name, has, exchange, say, tmp_path
-) -> None:
-    words = ["export", "csv", "--out", tmp_path / "o", f"--{name}", "barrel", "--dataset"]
-    error = say(*words, exchange)[1]["error"]
-    assert error["what"] == f"The dataset has no {name} 'barrel'."
-    assert has in error["fix"]
-    assert error["fix"].startswith("It has ")
-    Dataset.open(tmp_path / "empty").close()
-    assert say(*words, tmp_path / "empty")[1]["error"]["fix"] == "It has no episodes."
-
-
 def test_two_shards_make_one_experiment(tmp_path, capsys, monkeypatch) -> None:
     small = replace(tables.QUICK, groups=4, trials=2)
     monkeypatch.setitem(tables.SCALES, "quick", small)
@@ -823,40 +808,6 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
     assert main(["replay", "latest", "--runs", str(tmp_path), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["activity"], [p["item"] for p in answer["probes"]]) == ("collect", [4, 7])
-
-
-@pytest.mark.parametrize(
-    ("words", "content", "what"),
-    [
-        ("settings --method {file}", "kind = 'hardware'", "a lab file"),
-        ("settings --method {file}", "preset = 'quiet'", "a file of a simulated bench"),
-        ("stack --method {file}", "[gelsight]", "a lab file"),
-        ("stack --bench {file}", "[stability]", "a file with settings of the method"),
-    ],
-)
-def test_a_settings_file_of_another_kind_is_named(words, content, what, tmp_path, capsys) -> None:
-    file = tmp_path / "file.toml"
-    file.write_text(content, "utf-8")
-    assert main([*words.format(file=file).split(), "--json"]) == 2
-    error = json.loads(capsys.readouterr().err)["error"]
-    assert (error["what"], error["where"]) == (f"This is {what}.", str(file))
-
-
-def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) -> None:
-    method = tmp_path / "old.toml"
-    method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
-    assert main(["settings", "--method", str(method)]) == 2
-    assert "There is no setting 'contours'." in capsys.readouterr().err
-
-
-def test_an_unknown_network_is_an_error_that_lists_the_names(tmp_path, capsys) -> None:
-    method = tmp_path / "method.toml"
-    method.write_text('[fused]\nweights = "anny"\n', "utf-8")
-    assert main(["stack", "--strategy", "fused", "--method", str(method), "--json"]) == 2
-    error = json.loads(capsys.readouterr().err)["error"]
-    assert error["where"] == str(method)
-    for part in ("'fused.weights'", "'anny'", "'any'", "'wrench'", ".safetensors"):
-        assert part in error["what"]
 
 
 @pytest.mark.parametrize(

@@ -351,3 +351,37 @@ def test_a_bench_is_not_ready_with_a_wrist_sensor_that_does_not_weigh_its_hand(
     figures = [(one["name"], one["samples"], one["rate_hz"]) for one in told["timing"]]
     assert figures == ([("force_torque", 3, None)] if ready else [])
     assert ("mounting.payload_kg = 1.4 weighs 13.7 N" in line["text"]) != ready
+
+
+@pytest.mark.parametrize(
+    ("words", "content", "what"),
+    [
+        ("settings --method {file}", "kind = 'hardware'", "a lab file"),
+        ("settings --method {file}", "preset = 'quiet'", "a file of a simulated bench"),
+        ("stack --method {file}", "[gelsight]", "a lab file"),
+        ("stack --bench {file}", "[stability]", "a file with settings of the method"),
+    ],
+)
+def test_a_settings_file_of_another_kind_is_named(words, content, what, tmp_path, capsys) -> None:
+    file = tmp_path / "file.toml"
+    file.write_text(content, "utf-8")
+    assert main([*words.format(file=file).split(), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert (error["what"], error["where"]) == (f"This is {what}.", str(file))
+
+
+def test_a_method_file_with_an_unknown_setting_is_one_error(tmp_path, capsys) -> None:
+    method = tmp_path / "old.toml"
+    method.write_text("[contours]\nrisk = 0.05\n", "utf-8")
+    assert main(["settings", "--method", str(method)]) == 2
+    assert "There is no setting 'contours'." in capsys.readouterr().err
+
+
+def test_an_unknown_network_is_an_error_that_lists_the_names(tmp_path, capsys) -> None:
+    method = tmp_path / "method.toml"
+    method.write_text('[fused]\nweights = "anny"\n', "utf-8")
+    assert main(["stack", "--strategy", "fused", "--method", str(method), "--json"]) == 2
+    error = json.loads(capsys.readouterr().err)["error"]
+    assert error["where"] == str(method)
+    for part in ("'fused.weights'", "'anny'", "'any'", "'wrench'", ".safetensors"):
+        assert part in error["what"]

@@ -140,6 +140,20 @@ def test_nothing_to_hand_on_says_why(tmp_path):
             select_episodes(dataset, ExportQuery(states=("draft",)))
 
 
+@pytest.mark.parametrize(
+    ("name", "has"), [("piece", "pot"), ("bottom", "circle15"), ("series", ""), ("campaign", "")]
+)
+def test_what_the_dataset_lacks_is_named_with_what_it_has(dataset, tmp_path, name, has):
+    query = ExportQuery(**{name: "barrel"})
+    with pytest.raises(InputError, match=f"The dataset has no {name} 'barrel'.") as refused:
+        select_episodes(dataset, query)
+    assert refused.value.fix.startswith("It has ")
+    assert has in refused.value.fix
+    with Dataset.open(tmp_path / "empty") as empty, pytest.raises(InputError) as refused:
+        select_episodes(empty, query)
+    assert refused.value.fix == "It has no episodes."
+
+
 def test_two_faces_need_a_piece(dataset, hand):
     barrel = replace(recorded_episode(50), piece="barrel")
     context = context_for(dataset, "barrel")

@@ -13,19 +13,13 @@ from PySide6.QtWidgets import QWidget
 from touchdown.app import shell
 from touchdown.app.calibrate.identify import IdentifySheet
 from touchdown.app.calibrate.sheet import CalibrateSheet, CalibrationView, PlaceForm
-from touchdown.backend import core
+from touchdown.backend import core, runs
 from touchdown.backend.bench import Session
 from touchdown.backend.calibration import (
     MEASUREMENT_NAMES,
     CalibrationName,
     CalibrationStatus,
     DayCheck,
-)
-from touchdown.backend.runs import (
-    CalibrateRequest,
-    accept_calibration,
-    device_names,
-    hand_over_message,
 )
 from touchdown.widgets.base import Age, Theme, count_noun, tr, true_minus
 from touchdown.widgets.shell import FaultCards
@@ -90,8 +84,8 @@ class CalibratePresenter:
         self.draw(at_once=True)
         self.sheet.present()
 
-    def _usual(self) -> CalibrateRequest:
-        usual, on_bench = CalibrateRequest("board"), self._bench.usual
+    def _usual(self) -> runs.CalibrateRequest:
+        usual, on_bench = runs.CalibrateRequest("board"), self._bench.usual
         if self._bench.simulated:
             return usual
         return replace(usual, piece=on_bench.piece, bottom=on_bench.bottoms[-1])
@@ -115,7 +109,7 @@ class CalibratePresenter:
         elif isinstance(event, core.HandOverAwaited) and self.sheet is not None:
             answer = self._bench.answer
             self.sheet.question.ask(
-                hand_over_message(event), "End the run", "Done", lambda: answer(True)
+                runs.hand_over_message(event), "End the run", "Done", lambda: answer(True)
             )
         elif isinstance(event, core.RunFinished):
             if event.ending != "finished":
@@ -159,7 +153,7 @@ class CalibratePresenter:
             return
 
         def accept() -> None:
-            path = accept_calibration(store, found, self._bench.devices, self._person())
+            path = runs.accept_calibration(store, found, self._bench.devices, self._person())
             del self._measured[self._chosen]
             after = tr(AFTER.get(self._chosen, ""))
             self._said[self._chosen] = f"{tr('Accepted: {}', path.name)}{after}"
@@ -179,7 +173,7 @@ class CalibratePresenter:
     def _read_standings(self) -> None:
         self._read_s, store = self._now_s(), self._bench.calibrations
         if store is not None:
-            names = device_names(self._bench.devices)
+            names = runs.device_names(self._bench.devices)
             try:
                 self._history = tuple(self._bench.day_checks.read()[0])
             except core.InputError as error:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+from touchdown.app import shell
 from touchdown.app.label.editing import LabelEditing, ViewingTimer
 from touchdown.app.label.page import (
     EMPTY_QUEUE,
@@ -40,17 +41,6 @@ from touchdown.app.label.text import (
     scene_evidence_text,
     sources_differ,
 )
-from touchdown.app.shell import (
-    CURSOR_S,
-    LabelDraft,
-    LabelItem,
-    OpenedDataset,
-    SaveAction,
-    SaveQueue,
-    SaveWorker,
-    item_reader,
-    scene_shots,
-)
 from touchdown.backend.annotations import (
     AnswerContext,
     ControlItemLabels,
@@ -73,11 +63,11 @@ def next_work(dataset: Dataset, session: AnnotationSession) -> tuple[str, int]:
     return "", dataset.counts().get("approved", 0)
 
 
-def show_item(page: LabelPage, item: LabelItem) -> None:
+def show_item(page: LabelPage, item: shell.LabelItem) -> None:
     """Show the recorded data of an episode."""
     page.show_something()
     first, last = item.span_s
-    at_s = min(max(CURSOR_S, first), last)
+    at_s = min(max(shell.CURSOR_S, first), last)
     page.film.take_reel(item.reel, (max(first, 0.0), last))
     for plot in (page.forces, page.moments, page.phase):
         plot.show_trace(item.trace)
@@ -88,7 +78,7 @@ def show_item(page: LabelPage, item: LabelItem) -> None:
 
 
 def show_edit(
-    page: LabelPage, item: LabelItem, edit: LabelDraft, history: Sequence[Revision],
+    page: LabelPage, item: shell.LabelItem, edit: shell.LabelDraft, history: Sequence[Revision],
     session: AnnotationSession,
 ) -> None:  # fmt: skip
     """Show the edited label and its consequences."""
@@ -102,10 +92,10 @@ def show_edit(
     page.model_line.setText(model_evidence_text(edit, item, hidden=hidden))
     page.scene_line.setText(scene_evidence_text(edit, item, hidden=hidden))
     outlines = item.face, item.bottom
-    page.shots.show_shots(scene_shots(item.scene, edit, outlines, hidden=hidden))
+    page.shots.show_shots(shell.scene_shots(item.scene, edit, outlines, hidden=hidden))
 
 
-def _enter_act(edit: LabelDraft, session: AnnotationSession) -> EnterAct:
+def _enter_act(edit: shell.LabelDraft, session: AnnotationSession) -> EnterAct:
     """Return what Enter does with the label, "" if it stays as it is."""
     if session.opines:
         return ""
@@ -117,7 +107,7 @@ def _enter_act(edit: LabelDraft, session: AnnotationSession) -> EnterAct:
 
 
 def offset_scene(
-    item: LabelItem, edit: LabelDraft, history: Sequence[Revision], *, hidden: bool
+    item: shell.LabelItem, edit: shell.LabelDraft, history: Sequence[Revision], *, hidden: bool
 ) -> OffsetScene:
     """Return the scene of an edit; ``hidden`` leaves out the model and other sources."""
     ghosts = () if hidden else evidence_ghosts(item, history)
@@ -136,16 +126,20 @@ class LabelPresenter:
     """Connects one dataset to the label page. Owns a thread: call ``close``."""
 
     def __init__(
-        self, page: LabelPage, opened: OpenedDataset, worker: SaveWorker, session: AnnotationSession
+        self,
+        page: LabelPage,
+        opened: shell.OpenedDataset,
+        worker: shell.SaveWorker,
+        session: AnnotationSession,
     ) -> None:
         self._page, self.dataset, self.book = page, opened.dataset, opened.dataset.labels
         # Labels as the person sees them: control items look like the rest.
         self.shown = ControlItemLabels(self.book)
         self.session = session
         self.present: PresentEpisode | None = None
-        self.saving = SaveQueue(worker, self.refuse, self._show_saving)
+        self.saving = shell.SaveQueue(worker, self.refuse, self._show_saving)
         self.editing = LabelEditing(self, page, self.shown, session, self.saving)
-        read = item_reader(opened.dataset, opened.prelabel)
+        read = shell.item_reader(opened.dataset, opened.prelabel)
         self._prefetch = Prefetcher(read, worker, self._arrived)
         nothing = QueueEntries(opened.dataset, (), 0)
         self.walk = QueueCursor(page.list, self._prefetch, nothing)
@@ -235,7 +229,7 @@ class LabelPresenter:
     def go_on(self) -> None:
         """Show the next episode after a decision."""
         now = self.present
-        if now is not None and isinstance(self.walk.ahead(), LabelItem):
+        if now is not None and isinstance(self.walk.ahead(), shell.LabelItem):
             # The label is not shown again, so only its row is updated.
             self._take(now)
             self.walk.note(now.item.entry.uuid, self._badges_of(now))
@@ -318,9 +312,9 @@ class LabelPresenter:
             return s.chosen.said.get(now.item.entry.uuid, "")
         return next_step_text(now.edit.base, reviewing=s.queue == "review", opines=s.opines)
 
-    def _begin(self, uuid: str) -> LabelDraft:
+    def _begin(self, uuid: str) -> shell.LabelDraft:
         head = self.shown.of(uuid).head(uuid)
-        return LabelDraft.blank(head) if self.session.opines else LabelDraft.of(head)
+        return shell.LabelDraft.blank(head) if self.session.opines else shell.LabelDraft.of(head)
 
     # -- what is shown of the label ---------------------------------------------------------------
 
@@ -390,7 +384,7 @@ class LabelPresenter:
 
     # -- edits ------------------------------------------------------------------------------------
 
-    def do(self, action: SaveAction) -> None:
+    def do(self, action: shell.SaveAction) -> None:
         """Run an action after the saves in progress. Refused while a save has failed."""
         self.clock.alive()
         if self.saving.failure:
@@ -398,7 +392,7 @@ class LabelPresenter:
         else:
             self.saving.after(action)
 
-    def flushed(self, action: SaveAction) -> None:
+    def flushed(self, action: shell.SaveAction) -> None:
         """Save the present edit, then run an action."""
 
         async def save_and_run() -> None:

@@ -13,15 +13,8 @@ from PySide6.QtWidgets import QApplication, QWidget
 
 from touchdown.app import shell
 from touchdown.app.operate.page import OperatePage
-from touchdown.backend import devices
+from touchdown.backend import core, devices
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    LEVEL_TOLERANCE_RAD,
-    Pose,
-    RefusedError,
-    StaleSampleError,
-    rotation_angle_rad,
-)
 from touchdown.backend.runs import ManualControl, SceneChoice, SetRequest
 from touchdown.widgets.base import tr, true_minus
 from touchdown.widgets.forms import JOINTS, JogPad, JogUnit, PoseReadout
@@ -180,17 +173,17 @@ class ManualControlPresenter:
             pose = arm.pose(float("inf"))
             text = self._pose_text(arm, pose)
             rooms = hand.jog.rooms(self._frame())
-        except (StaleSampleError, RefusedError):
+        except (core.StaleSampleError, core.RefusedError):
             return PoseReadout()
         slow, above_mm = hand.jog.state.slow, pose.z_mm - hand.surface_mm
-        recovering, turned = self._bench.interlock.recovering, rotation_angle_rad(pose) > 0.0
+        recovering, turned = self._bench.interlock.recovering, core.rotation_angle_rad(pose) > 0.0
         note = tr("Recovery: jog away from contact") if recovering else ""
         if not note and hand.pressing_n and not shell.is_run_active(self._bench):
             note = tr("In contact, {:.1f} N: lift first", hand.pressing_n)
         note = note or self._bench.interlock.degraded
         warn = bool(note)
-        if not note and rotation_angle_rad(pose) > LEVEL_TOLERANCE_RAD:
-            turned_deg = math.degrees(rotation_angle_rad(pose))
+        if not note and core.rotation_angle_rad(pose) > core.LEVEL_TOLERANCE_RAD:
+            turned_deg = math.degrees(core.rotation_angle_rad(pose))
             note = tr("Turned by {:.1f}\N{DEGREE SIGN}: level it to probe", turned_deg)
         if not note and any(room.why == "TURN-LOW" for room in rooms.values()):
             clear_mm = self._bench.interlock.limits.turn_clear_mm
@@ -205,7 +198,7 @@ class ManualControlPresenter:
         said = tuple((what, _room_words(what, room)) for what, room in rooms.items())
         return PoseReadout(text, age_s, said, note, warn=warn, turned=turned)
 
-    def _pose_text(self, arm: devices.Arm, pose: Pose) -> str:
+    def _pose_text(self, arm: devices.Arm, pose: core.Pose) -> str:
         """Return the pose of the hand in the terms of the visible pads."""
         jog = self._page.jog
         if self._frame() == "JOINT":

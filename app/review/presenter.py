@@ -6,17 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from touchdown.app.review import episodes
+from touchdown.app.review import episodes, recordings
 from touchdown.app.review.campaign import CollectedRun
 from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
-from touchdown.app.review.recordings import (
-    ReadRun,
-    RecordingsPresenter,
-    ReviewDataset,
-    RunReader,
-    activity_text,
-)
 from touchdown.app.review.replay import TOUCH_S, ReplayPresenter
 from touchdown.app.review.timing import TrialTimeline
 from touchdown.app.shell import BookmarkDialog, RunStory, SaveWorker, TrialStory, run_score
@@ -39,12 +32,14 @@ class ReviewPresenter:
         runs: Path,
         cards: FaultCards,
         reader: SaveWorker,
-        library: ReviewDataset,
+        library: recordings.ReviewDataset,
     ) -> None:
         self._page, self._cards = page, cards
         self._reader, self.library = reader, library
         self.replay = ReplayPresenter(page)
-        self.recordings = RecordingsPresenter(page, runs, reader, library.series, self._failed)
+        self.recordings = recordings.RecordingsPresenter(
+            page, runs, reader, library.series, self._failed
+        )
         self.story = RunStory()
         self.timed: list[TrialTimeline] = []
         self._run: Path | None = None
@@ -58,7 +53,7 @@ class ReviewPresenter:
         self.file: Path | None = None  # file for an external viewer
         self.caption = ""  # caption of the shown trial or episode
         self._asked = 0
-        self._reading: RunReader | None = None
+        self._reading: recordings.RunReader | None = None
         self._said = ""  # progress shown last
         page.refresh.clicked.connect(self.recordings.refresh)
         page.trials.currentRowChanged.connect(self._choose_part)
@@ -85,10 +80,10 @@ class ReviewPresenter:
     def open(self, run: Path) -> None:
         """Read a run and show its last trial; show a card for a damaged log."""
         self._drop_reading()
-        reading = self._reading = RunReader(run)
+        reading = self._reading = recordings.RunReader(run)
         self._page.trials_panel.detail.setText(tr("reading"))
 
-        def done(read: ReadRun | None) -> None:
+        def done(read: recordings.ReadRun | None) -> None:
             if reading is self._reading and read is not None:
                 self._drop_reading()
                 self._take_run(read)
@@ -132,7 +127,7 @@ class ReviewPresenter:
         self._name_parts("Trials", "", "Outcomes")
         self._fill([], -1)
 
-    def _take_run(self, read: ReadRun) -> None:
+    def _take_run(self, read: recordings.ReadRun) -> None:
         self.story, self._run = read.story, read.folder
         if read.collection is not None:
             self._open_collection(read.collection)
@@ -286,7 +281,7 @@ class ReviewPresenter:
         if ended is not None:
             last = tr("Run {}.", tr(ended.ending))
         if head is not None:
-            what = ", ".join(activity_text(head)) or head.strategy
+            what = ", ".join(recordings.activity_text(head)) or head.strategy
             last = f"{tr('{} on {}', head.piece, head.bottom)}, {what}. {last}"
         if head is not None and head.activity != "stack":
             self._page.score.show_facts(what.capitalize(), last)

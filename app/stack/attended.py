@@ -6,14 +6,8 @@ from pathlib import Path
 
 from touchdown.app.shell import SaveWorker, ask_path, error_card
 from touchdown.app.stack.page import StackPage
-from touchdown.backend import core
+from touchdown.backend import core, runs
 from touchdown.backend.bench import Session
-from touchdown.backend.runs import (
-    PHOTO_SUFFIXES,
-    hand_over_message,
-    keep_photo,
-    scene_to_set_message,
-)
 from touchdown.widgets.base import tr
 from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import OffsetScene, TrialPrompt
@@ -40,10 +34,10 @@ class OperatorPromptsPresenter:
         if not self._mine:
             return
         if isinstance(event, core.SetUpAwaited):
-            said, scene = scene_to_set_message(event), self._scene(event)
+            said, scene = runs.scene_to_set_message(event), self._scene(event)
             self._ask(TrialPrompt("Set the scene", said, "Ready  Y", scene))
         elif isinstance(event, core.HandOverAwaited):
-            said = hand_over_message(event)
+            said = runs.hand_over_message(event)
             self._ask(TrialPrompt("Hand the piece over", said, "It is there  Y"))
         elif isinstance(event, core.OutcomeAwaited):
             self._ask(TrialPrompt("What became of it?", event.why, proposed=event.proposed))
@@ -80,7 +74,7 @@ class OperatorPromptsPresenter:
         """Let the operator choose a picture of this trial."""
         if self._asked is None or self._asked.proposed is None:
             return
-        kinds = " ".join(f"*{kind}" for kind in PHOTO_SUFFIXES)
+        kinds = " ".join(f"*{kind}" for kind in runs.PHOTO_SUFFIXES)
         names = f"{tr('Pictures')} ({kinds})"
         ask_path(self._page, "Picture of this trial", self.add_photo, names=names)
 
@@ -93,7 +87,7 @@ class OperatorPromptsPresenter:
                 raise core.InputError(
                     "This run is not kept.", str(source), "Name a folder for runs."
                 )
-            path = keep_photo(run, trial, source)
+            path = runs.keep_photo(run, trial, source)
             self._bench.events.publish(core.PhotoKept(self._bench.clock_s(), trial, path.name))
             return path.name
 

@@ -21,15 +21,8 @@ from touchdown.app.shell import (
 )
 from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import stack_request
+from touchdown.backend import core
 from touchdown.backend.bench import Session
-from touchdown.backend.core import (
-    Event,
-    InputError,
-    Outcome,
-    RunFinished,
-    TrialFinished,
-    parse_toml,
-)
 from touchdown.backend.runs import StackRequest
 from touchdown.widgets.base import KeylessList, count_noun, hbox, label, tr, vbox
 from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
@@ -59,10 +52,10 @@ def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
     Raises ``InputError`` for entries that this form cannot hold.
     """
     try:
-        tables = parse_toml(path.read_bytes())["run"]
+        tables = core.parse_toml(path.read_bytes())["run"]
         tables = list(json.loads(json.dumps(tables, default=str)))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(tr("No [[run]] can be read: {}.", error), str(path), FIX) from error
+        raise core.InputError(tr("No [[run]] can be read: {}.", error), str(path), FIX) from error
     usual, runs = panel.form(), list[PlannedRun]()
     for number, table in enumerate(tables, start=1):
         values = table if isinstance(table, dict) else {str(table): ""}
@@ -75,7 +68,7 @@ def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
         wrong += [name for name, value in held.items() if value != getattr(run, name)]
         if wrong:
             what = tr("Run {} has wrong entries: {}.", number, ", ".join(wrong))
-            raise InputError(what, str(path), FIX)
+            raise core.InputError(what, str(path), FIX)
         runs.append(replace(run, result=""))
     return runs
 
@@ -98,8 +91,8 @@ class PlannedRunsSheet(BenchSheet):
         self.runs: list[PlannedRun] = []
         self.on = False  # further runs follow
         self._now: PlannedRun | None = None
-        self._ended: RunFinished | None = None
-        self._outcomes: list[Outcome] = []
+        self._ended: core.RunFinished | None = None
+        self._outcomes: list[core.Outcome] = []
         self._asked: CardQuestion | None = None
         self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self.look)
@@ -192,11 +185,11 @@ class PlannedRunsSheet(BenchSheet):
         self.on = False
         self._say(why)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: core.Event) -> None:
         """Follow the present run."""
-        if isinstance(event, TrialFinished):
+        if isinstance(event, core.TrialFinished):
             self._outcomes.append(event.outcome)
-        elif isinstance(event, RunFinished) and event.run_id == self._bench.run_id:
+        elif isinstance(event, core.RunFinished) and event.run_id == self._bench.run_id:
             self._ended = event
 
     def look(self) -> None:
@@ -209,7 +202,7 @@ class PlannedRunsSheet(BenchSheet):
             self._timer.stop()
 
     def _go_on(self, run: PlannedRun, ending: str) -> None:
-        placed = self._outcomes.count(Outcome.PLACED)
+        placed = self._outcomes.count(core.Outcome.PLACED)
         result = tr("{} of {} placed", placed, count_noun(len(self._outcomes), "trial"))
         if ending != "finished":
             self.on, result = False, f"{result}, {tr(ending)}"

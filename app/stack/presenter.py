@@ -19,17 +19,10 @@ from touchdown.backend.runs import (
     StackRequest,
     certificate_status,
 )
+from touchdown.widgets import views
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import RunButtons, RunForm
 from touchdown.widgets.shell import CardText, FaultCards
-from touchdown.widgets.views import (
-    OUTCOME_WORDS,
-    BeliefScene,
-    DecisionText,
-    caption_of,
-    decision_text,
-    question_text,
-)
 
 # Text above the map of a trial without an estimate while its run is stopped.
 HELD_UP = {
@@ -49,7 +42,7 @@ class StackPresenter:
         self._shown_versions = [-1] * len(self._parts)
         self._next_part = 0
         self._chosen: int | None = None
-        self._scenes: dict[tuple[int, int, bool], tuple[shell.ProbeStory, BeliefScene]] = {}
+        self._scenes: dict[tuple[int, int, bool], tuple[shell.ProbeStory, views.BeliefScene]] = {}
         self._buttons: RunButtons | None = None
         self._state = RunState.IDLE
         self._asking = ""
@@ -186,7 +179,7 @@ class StackPresenter:
         asking, button = "", ""
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
-            asking, act = question_text(status.awaiting)
+            asking, act = views.question_text(status.awaiting)
             button = f"{tr(act)}  {'N' if self._page.run.form().mode == 'step' else 'A'}"
         if asking != self._asking:
             self._asking = asking
@@ -216,14 +209,15 @@ class StackPresenter:
             text = shell.outcome_text(trial, self.story.head)
         elif self._bench.status().asks:
             asks = f"{self._bench.status().asks.capitalize()}."
-            text = DecisionText("Your turn", "", "", asks)
+            text = views.DecisionText("Your turn", "", "", asks)
         elif trial is not None and self._state in HELD_UP:
             title, follows = HELD_UP[self._state]
-            text = DecisionText(title, "", "", follows)
+            text = views.DecisionText(title, "", "", follows)
         elif trial is not None:
-            after = "The estimate comes after the press."
-            text = (DecisionText("Pressing", "", "", after) if trial.phase in shell.PRESSING
-                    else DecisionText("Probing", "", "", "The press comes next."))  # fmt: skip
+            title, follows = "Probing", "The press comes next."
+            if trial.phase in shell.PRESSING:
+                title, follows = "Pressing", "The estimate comes after the press."
+            text = views.DecisionText(title, "", "", follows)
         else:
             return
         self._page.decision.show_text(text)
@@ -231,7 +225,7 @@ class StackPresenter:
     def _draw_map(self) -> None:
         trial, belief = self._shown_trial(), self._page.belief
         if trial is None or not trial.probes:
-            scene = BeliefScene() if trial is None else shell.unprobed_scene(trial)
+            scene = views.BeliefScene() if trial is None else shell.unprobed_scene(trial)
             detail = "", ""
             changed = belief.scene.belief is not None or belief.scene.empty != scene.empty
         else:
@@ -253,7 +247,7 @@ class StackPresenter:
             self._page.strip.show_probes([], -1)
             return
         shown = [
-            (self._scene(index), caption_of(look.probe, look.stability))
+            (self._scene(index), views.caption_of(look.probe, look.stability))
             for index, look in enumerate(trial.probes)
         ]
         self._page.strip.show_probes(shown, self._index(trial))
@@ -262,8 +256,8 @@ class StackPresenter:
         """Return the index of the shown probe: the chosen one, else the newest."""
         return len(trial.probes) - 1 if self._chosen is None else self._chosen
 
-    def _decision(self, look: shell.ProbeStory) -> DecisionText:
-        text = decision_text(look.stability, look.action)
+    def _decision(self, look: shell.ProbeStory) -> views.DecisionText:
+        text = views.decision_text(look.stability, look.action)
         trial = self._shown_trial()
         if self._chosen is not None:
             back = tr("Looking back at probe {}.", look.probe)
@@ -272,7 +266,7 @@ class StackPresenter:
             return text
         return shell.outcome_text(trial, self.story.head)
 
-    def _scene(self, index: int) -> BeliefScene:
+    def _scene(self, index: int) -> views.BeliefScene:
         trial = self._shown_trial()
         assert trial is not None
         key = (trial.trial, index, trial.finished is not None)
@@ -287,7 +281,7 @@ class StackPresenter:
         head, last = self.story.head, ""
         done = next((t.finished for t in reversed(self.story.trials) if t.finished), None)
         if done is not None:
-            word, probes = tr(OUTCOME_WORDS[done.outcome]), count_noun(done.probes, "probe")
+            word, probes = tr(views.OUTCOME_WORDS[done.outcome]), count_noun(done.probes, "probe")
             last = tr("Seed {}: {} after {}.", done.seed, word, probes)
         planned, ended = head.trials if head is not None else 0, len(self.story.outcomes)
         if planned > ended and self.story.ended is not None:
@@ -314,7 +308,7 @@ def stack_request(form: RunForm) -> StackRequest:
     )
 
 
-def _belief_detail(scene: BeliefScene, look: shell.ProbeStory) -> tuple[str, str]:
+def _belief_detail(scene: views.BeliefScene, look: shell.ProbeStory) -> tuple[str, str]:
     """Return the line above the map and its tool tip."""
     if scene.belief is None:
         return "", ""

@@ -16,7 +16,7 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from touchdown.backend import episodes
+from touchdown.backend import core, episodes
 from touchdown.backend.annotations import episode_index, operation_log, review
 from touchdown.backend.annotations.consistency import (
     ConsistencyProblem,
@@ -29,14 +29,6 @@ from touchdown.backend.annotations.values import (
     Label,
     LabelContent,
     uuid7_from_parts,
-)
-from touchdown.backend.core import (
-    Episode,
-    EpisodeQuality,
-    InputError,
-    make_folder,
-    parse_json,
-    sync_folder,
 )
 from touchdown.backend.geometry import PieceLibrary, load_pieces
 
@@ -208,7 +200,7 @@ def _check_known_file(
 def _unknown(parts: DatasetParts, path: Path, by_uuid: _RowIndex) -> Iterator[ConsistencyProblem]:
     try:
         complete = read_complete(path, parts.folder)
-    except InputError as error:
+    except core.InputError as error:
         if is_readable(path):
             message = f"{parts.name(path)} is no episode of a dataset: {error.what}"
             yield ConsistencyProblem("not-adopted", parts.name(path), message)
@@ -231,18 +223,18 @@ def read_complete(path: Path, root: Path) -> CompleteFile:
     contents = episodes.read_whole(path)
     messages = contents.messages.get(episodes.LABEL_TOPIC.name, [])
     if "episode" not in contents.metadata or not messages:
-        raise InputError(
+        raise core.InputError(
             "The file has no label message to adopt it by.", str(path), episodes.DAMAGED_FILE_FIX
         )
     with episodes.input_errors(path):
         facts, message = contents.metadata["episode"], episodes.unpack_json(messages[-1])
-        quality = parse_json(facts["quality"])
+        quality = core.parse_json(facts["quality"])
         quality["reasons"] = tuple(quality["reasons"])
         if facts["uuid"] != message["episode"]:
             raise ValueError("its label belongs to another episode")
         label_of(message)
         keep = facts["keep_frames"]
-        row = episode_index.episode_row(message, EpisodeQuality(**quality), keep, path, root)
+        row = episode_index.episode_row(message, core.EpisodeQuality(**quality), keep, path, root)
         return CompleteFile(row | {"adopted": 1}, message)
 
 
@@ -324,7 +316,7 @@ def _leftover(
 
 def _is_reported(target: Path, part: Path) -> bool:
     try:
-        report = parse_json(target.with_name(f"{target.name}.json").read_text("utf-8"))
+        report = core.parse_json(target.with_name(f"{target.name}.json").read_text("utf-8"))
         return bool(report["bytes"] == part.stat().st_size)
     except (OSError, ValueError, KeyError, TypeError):
         return False
@@ -332,14 +324,14 @@ def _is_reported(target: Path, part: Path) -> bool:
 
 def quarantine_file(parts: DatasetParts, path: Path) -> Path:
     """Move a file to the quarantine under a free name; return its new path."""
-    make_folder(parts.quarantine)
+    core.make_folder(parts.quarantine)
     target, number = parts.quarantine / path.name, 1
     while target.exists():
         number += 1
         target = parts.quarantine / f"{path.stem}-{number}{path.suffix}"
     path.replace(target)
-    sync_folder(parts.quarantine)
-    sync_folder(path.parent)
+    core.sync_folder(parts.quarantine)
+    core.sync_folder(path.parent)
     return target
 
 
@@ -352,7 +344,7 @@ def is_readable(path: Path) -> bool:
     """Return True if all checksums of an MCAP file are right."""
     try:
         episodes.read_whole(path)
-    except InputError:
+    except core.InputError:
         return False
     return True
 
@@ -400,7 +392,7 @@ _PUT_BACK = "put a good copy there, or delete the episode on the Label page."
 PACKS = "packs"
 MODE = "mass"
 # Simulated episodes that fail a check are redrawn before they are packed.
-GOOD = EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
+GOOD = core.EpisodeQuality(True, (), 0, 0.0, 0, 0.0, 0.0)
 GOOD_TEXT = json.dumps(asdict(GOOD))
 RANDOM_BITS = 74
 
@@ -420,7 +412,7 @@ def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
     """Yield the problems of the folder ``packs``; ``whole`` reads every chunk again."""
     folder = parts.folder / PACKS
     rows = parts.database.rows("SELECT bench FROM series WHERE mode = ?", (MODE,))
-    facts = [parse_json(bench) for (bench,) in rows]
+    facts = [core.parse_json(bench) for (bench,) in rows]
     known = {fact["pack"]: fact["bytes"] for fact in facts if "pack" in fact}
     found: set[str] = set()
     for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
@@ -432,7 +424,7 @@ def check_packs(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProb
             continue
         try:
             listed = list(read_pack_chunks(path))
-        except InputError as error:
+        except core.InputError as error:
             if is_readable(path):
                 yield ConsistencyProblem("not-adopted", name, f"{name} is no pack: {error.what}")
             else:
@@ -448,7 +440,7 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
     for chunk in episodes.read_chunks(path):
         messages = chunk.contents.messages.get(episodes.LABEL_TOPIC.name)
         if not messages or "episode" in chunk.contents.metadata:
-            raise InputError(
+            raise core.InputError(
                 "The file is not a pack of episodes.", str(path), episodes.DAMAGED_FILE_FIX
             )
         with episodes.input_errors(path):
@@ -457,14 +449,14 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
             yield PackEntry(_packed_uuid(chunk), chunk.offset, chunk.length, chunk.sha256, label)
 
 
-def read_packed(path: Path, chunk: tuple[int, int]) -> Episode:
+def read_packed(path: Path, chunk: tuple[int, int]) -> core.Episode:
     """Read one episode of a pack: observation and commanded offset, without recording."""
     group = episodes.read_chunk(path, *chunk)
     with episodes.input_errors(path):
         label = episodes.unpack_json(group.messages[episodes.LABEL_TOPIC.name][0])
         observation = episodes.unpack_observation(group.messages[episodes.OBSERVATION_TOPIC.name])
         name, piece = str(label["episode"]), str(label["piece"])
-        return Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
+        return core.Episode(name, piece, observation, label_of(label).offset_mm, 0.0, GOOD)
 
 
 def _packed_uuid(chunk: episodes.StoredChunk) -> str:
@@ -582,7 +574,7 @@ def _pair(
     """Store the geometry of a packed label; return the hash of the pair."""
     piece, bottom = catalogue.piece(label["piece"]), catalogue.piece(label["bottom"])
     if piece.sha256 != label["geometry"]:
-        raise InputError(
+        raise core.InputError(
             f"The piece '{piece.name}' was changed since this pack was simulated.",
             str(path),
             "Simulate it again, or bring the former piece file back.",
@@ -611,7 +603,7 @@ def _missing_pack(parts: DatasetParts, name: str) -> Iterator[ConsistencyProblem
         yield ConsistencyProblem("missing", name, message, repair)
 
 
-def _torn_pack(parts: DatasetParts, path: Path, error: InputError) -> ConsistencyProblem:
+def _torn_pack(parts: DatasetParts, path: Path, error: core.InputError) -> ConsistencyProblem:
     name = parts.name(path)
 
     def repair(connection: sqlite3.Connection) -> None:

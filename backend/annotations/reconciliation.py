@@ -21,14 +21,6 @@ from touchdown.backend.annotations.backups import list_backups
 from touchdown.backend.annotations.consistency import ConsistencyProblem, DatasetParts, leftover
 from touchdown.backend.annotations.database import REBUILD, SCHEMA, Database, add_event
 from touchdown.backend.annotations.geometry_records import GeometryStore
-from touchdown.backend.annotations.operation_log import (
-    line_numbers,
-    newest_operations,
-    read_journal,
-    read_last_line,
-    read_operations,
-    store_operation,
-)
 from touchdown.backend.annotations.run_tracking import check_runs
 from touchdown.backend.annotations.values import (
     FIRST_HASH,
@@ -47,13 +39,15 @@ CHECKED_OPERATIONS, CHECKED_CHARACTERS = 500, 2_000_000
 def check_labels(parts: DatasetParts, *, whole: bool) -> Iterator[ConsistencyProblem]:
     """Yield problems of operations, journals and heads."""
     with parts.database.reading() as connection:
-        catalogue = newest_operations(connection)
+        catalogue = operation_log.newest_operations(connection)
     broken: set[str] = set()
     chains: dict[str, list[Operation]] = {}
     for site, (seq, _) in catalogue.items():
         after = 0 if whole else _first_checked(parts, site, seq)
         with parts.database.reading() as connection:
-            chain = read_operations(connection, "site = ? AND seq >= ?", (site, after))
+            chain = operation_log.read_operations(
+                connection, "site = ? AND seq >= ?", (site, after)
+            )
         start = (chain[0].seq, chain[0].hash) if after else (0, FIRST_HASH)
         bad = first_broken_link(_counted(parts, chain[1:] if after else chain), start)
         if whole:
@@ -122,8 +116,8 @@ def _difference(parts: DatasetParts, connection: sqlite3.Connection) -> str:
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as expected:
         expected.executescript(f"{SCHEMA} BEGIN")
         try:
-            for operation in _counted(parts, read_operations(connection)):
-                store_operation(expected, operation)
+            for operation in _counted(parts, operation_log.read_operations(connection)):
+                operation_log.store_operation(expected, operation)
         except (KeyError, TypeError, ValueError, sqlite3.Error) as error:
             return f"an operation: {error}"
         for table in DERIVED:
@@ -192,7 +186,7 @@ def _compare_journal(
             kind = "journal" if is_damage else "behind"
             return [], [ConsistencyProblem(kind, site, message, catch_up)]
     try:
-        operations = list(read_journal(path))
+        operations = list(operation_log.read_journal(path))
         if last == newest:
             if operations != chain:
                 raise ValueError(f"{path.name} was changed")
@@ -221,7 +215,7 @@ def _damaged_journal(
         parts.journal.catch_up(connection, site, rewritten=True)
 
     message = f"The journal of labels is damaged ({error})"
-    if max(line_numbers(path), default=0) <= newest[0]:
+    if max(operation_log.line_numbers(path), default=0) <= newest[0]:
         message += ": rewritten from the catalogue; the damaged file is in quarantine."
         return ConsistencyProblem("journal-damaged", site, message, write_anew)
     message += ", and it has operations that the catalogue lacks: take this file from a copy."
@@ -231,7 +225,7 @@ def _damaged_journal(
 def _last_position(path: Path) -> ChainPosition | None:
     """Return the position of the last complete line: (0, ...) without one, None if unreadable."""
     try:
-        line, _ = read_last_line(path)
+        line, _ = operation_log.read_last_line(path)
         if not line:
             return 0, FIRST_HASH
         facts = parse_json(line)
@@ -245,7 +239,7 @@ def _last_position(path: Path) -> ChainPosition | None:
 def _replay(connection: sqlite3.Connection, missing: list[Operation]) -> None:
     touched: set[str] = set()
     for operation in missing:
-        touched |= store_operation(connection, operation)
+        touched |= operation_log.store_operation(connection, operation)
     review.refresh_heads(connection, touched)
 
 
@@ -329,7 +323,7 @@ def reconcile(
         while batch := list(islice(found, REPAIRS_PER_TRANSACTION)):
             reported += _repaired(parts, batch, again)
     with parts.database.reading() as connection:
-        sites = list(newest_operations(connection))
+        sites = list(operation_log.newest_operations(connection))
     for site in sites:
         with parts.database.transaction() as connection:
             parts.journal.catch_up(connection, site)

@@ -20,20 +20,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import episodes
 from touchdown.backend.annotations.database import CATALOGUE_FILE, Database
 from touchdown.backend.annotations.geometry_records import GeometryStore, Pair, face_record
 from touchdown.backend.annotations.values import Label, canonical_json
 from touchdown.backend.config import SAMPLES_PER_PROBE
 from touchdown.backend.core import CHANNELS, FloatArray, InputError, sync_folder, write_atomically
-from touchdown.backend.episodes import (
-    DAMAGED_FILE_FIX,
-    OBSERVATION_TOPIC,
-    TrainingRows,
-    input_errors,
-    read_chunk,
-    read_first,
-    unpack_observation,
-)
 from touchdown.backend.geometry import Piece, face_points, load_pieces, true_patch
 
 CACHE_VERSION = 1  # increment when the same file gives different numbers
@@ -155,9 +147,9 @@ def _write(path: Path, dataset: Path, rows: Sequence[CacheRow]) -> None:
 
 def stored_observation(path: Path, chunk: tuple[int, int] | None) -> NDArray[np.float32]:
     """Return the observation of an episode file, or of a ``chunk`` of a pack."""
-    group = read_first(path) if chunk is None else read_chunk(path, *chunk)
-    with input_errors(path):
-        return unpack_observation(group.messages[OBSERVATION_TOPIC.name])
+    group = episodes.read_first(path) if chunk is None else episodes.read_chunk(path, *chunk)
+    with episodes.input_errors(path):
+        return episodes.unpack_observation(group.messages[episodes.OBSERVATION_TOPIC.name])
 
 
 def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
@@ -165,7 +157,9 @@ def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
     path = dataset / row.path
     observation = stored_observation(path, row.chunk)
     if observation.shape != SHAPE or not (np.abs(observation) < np.finfo(np.float16).max).all():
-        raise InputError("The observation is no probe of 20 ticks.", str(path), DAMAGED_FILE_FIX)
+        raise InputError(
+            "The observation is no probe of 20 ticks.", str(path), episodes.DAMAGED_FILE_FIX
+        )
     return observation
 
 
@@ -220,7 +214,7 @@ def is_dataset(folder: Path) -> bool:
 
 def load_training_set(
     folder: Path, piece: str | None = None, labels: LabelChoice = "approved"
-) -> TrainingRows:
+) -> episodes.TrainingRows:
     """Return the labelled episodes of ``piece`` (None: the only one) in a dataset.
 
     Works while another process writes the dataset. Raises ``InputError`` if there are no episodes,
@@ -235,7 +229,7 @@ def load_training_set(
     top = load_pieces().piece(chosen[0].piece)
     _check_face(top, geometry.values(), folder)
     cache = open_cache(folder, [e.row for e in chosen])
-    return TrainingRows(
+    return episodes.TrainingRows(
         top.name,
         top.sha256,
         cache.observation,

@@ -11,14 +11,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from touchdown.backend.annotations import operation_log
-from touchdown.backend.annotations.operation_log import (
-    REVERSING,
-    EpisodeMark,
-    OperationDraft,
-    following,
-    new_revision,
-    read_revision,
-)
 from touchdown.backend.annotations.review import RevisionNode, leaves_of, read_nodes
 from touchdown.backend.annotations.values import NO_LABEL, LabelContent, Operation, uuid7
 from touchdown.backend.core import RefusedError
@@ -39,7 +31,7 @@ class UndoStacks:
         if verb in NO_STEPS:
             return
         done = self.redo if verb == "redo" else self.undo
-        if verb not in REVERSING:
+        if verb not in operation_log.REVERSING:
             self.redo.clear()
         elif target in done:
             # After a merge the operations of two sites interleave: it may not be the topmost.
@@ -59,13 +51,15 @@ def read_undo_stacks(connection: sqlite3.Connection, person: str) -> UndoStacks:
     return stacks
 
 
-def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> OperationDraft:
+def inverse_draft(
+    connection: sqlite3.Connection, operation: Operation
+) -> operation_log.OperationDraft:
     """Return the draft that reverts ``operation``.
 
     Raises ``RefusedError`` with the name of a person who changed one of its episodes since. A
     change that was itself undone does not count.
     """
-    draft = OperationDraft()
+    draft = operation_log.OperationDraft()
     body: Mapping[str, Any] = operation.body
     by_episode: dict[str, list[str]] = {}
     for rev in body["revs"]:
@@ -74,8 +68,8 @@ def inverse_draft(connection: sqlite3.Connection, operation: Operation) -> Opera
         nodes, closed = read_nodes(connection, episode)
         _take_back(connection, draft, _EpisodeHistory(nodes, closed), written)
     for rev_uuid in body["closes"]:
-        retired = read_revision(connection, rev_uuid)
-        draft.add_copy(following(retired, retired), rev_uuid)
+        retired = operation_log.read_revision(connection, rev_uuid)
+        draft.add_copy(operation_log.following(retired, retired), rev_uuid)
     # The former head has to be the head again: the leaf of the greatest id wins, and ids rise.
     if body["closes"]:
         _renumber(connection, draft)
@@ -95,7 +89,7 @@ class _EpisodeHistory:
 
     def original(self, node: RevisionNode) -> str | None:
         """Return the revision that ``node`` restored, or itself; None for the first one."""
-        while node.verb in REVERSING:
+        while node.verb in operation_log.REVERSING:
             if node.copy_of is None:
                 return None
             node = self.by_id[node.copy_of]
@@ -104,7 +98,7 @@ class _EpisodeHistory:
 
 def _take_back(
     connection: sqlite3.Connection,
-    draft: OperationDraft,
+    draft: operation_log.OperationDraft,
     story: _EpisodeHistory,
     written: Iterable[str],
 ) -> None:
@@ -117,20 +111,20 @@ def _take_back(
         )
     for key, node in expected.items():
         leaf = story.leaves[key].rev_uuid
-        if node.verb in REVERSING and node.copy_of == node.parent:
+        if node.verb in operation_log.REVERSING and node.copy_of == node.parent:
             # It had reopened a closed revision: close it again.
             draft.closes.append(leaf)
             continue
-        now = read_revision(connection, leaf)
+        now = operation_log.read_revision(connection, leaf)
         if node.parent is None:
             content = LabelContent(NO_LABEL, now.source, now.geometry)
-            draft.revs.append(new_revision(now.episode, leaf, content, "unlabelled"))
+            draft.revs.append(operation_log.new_revision(now.episode, leaf, content, "unlabelled"))
         else:
-            before = read_revision(connection, node.parent)
-            draft.add_copy(following(now, before), node.parent)
+            before = operation_log.read_revision(connection, node.parent)
+            draft.add_copy(operation_log.following(now, before), node.parent)
 
 
-def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
+def _renumber(connection: sqlite3.Connection, draft: operation_log.OperationDraft) -> None:
     revs, copies = draft.revs, draft.copies
     sql = "SELECT o.lamport, o.site FROM label_rev r JOIN op o USING (op_uuid) WHERE r.rev_uuid = ?"
 
@@ -146,7 +140,7 @@ def _renumber(connection: sqlite3.Connection, draft: OperationDraft) -> None:
 
 def _unmark(
     connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]
-) -> EpisodeMark:
+) -> operation_log.EpisodeMark:
     owner = operation.op_uuid if mark["owner"] is None else mark["owner"]
     now = connection.execute(
         "SELECT m.owner, o.actor FROM mark m JOIN op o USING (op_uuid)"
@@ -157,7 +151,7 @@ def _unmark(
         raise RefusedError(
             "changed since", f"{now[1]} changed this mark since: undo would lose that."
         )
-    return EpisodeMark(
+    return operation_log.EpisodeMark(
         episode=mark["episode"],
         name=mark["name"],
         present=mark["was"],

@@ -19,6 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
+from touchdown.backend import core
 from touchdown.backend.bench.assembly import make_scene
 from touchdown.backend.bench.emulated_scene import (
     EMULATOR_PRIORITY,
@@ -30,14 +31,6 @@ from touchdown.backend.bench.emulated_scene import (
     shorten_switch_interval,
 )
 from touchdown.backend.config import SimulationSettings
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    ProcessStallDetector,
-    ThreadStallDetector,
-    request_short_slices,
-    round_robin_priority,
-)
 from touchdown.backend.emulation import FaultPlan, TcpServer
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.runs import SceneChoice
@@ -54,7 +47,7 @@ class EmulatedProcess:
     ``tell`` is called on a watch thread when the process dies or stalls.
     """
 
-    def __init__(self, tell: Callable[[Fault], None]) -> None:
+    def __init__(self, tell: Callable[[core.Fault], None]) -> None:
         self._child: subprocess.Popen[str] | None = None
         self._tell = tell
         self._serving, self._over = threading.Event(), threading.Event()
@@ -123,17 +116,17 @@ class EmulatedProcess:
             child.stdin.write(json.dumps(order) + "\n")
             child.stdin.flush()
         except BrokenPipeError as error:
-            raise FaultError(GONE) from error
+            raise core.FaultError(GONE) from error
         answer = self._answer_of(child, child.stdout, cancel)
         if not answer:
-            raise FaultError(GONE)
+            raise core.FaultError(GONE)
         return json.loads(answer)
 
     def _answer_of(
         self, child: subprocess.Popen[str], answers: IO[str], cancel: threading.Event
     ) -> str:
         """Return the next line of the child, "" at its end; kills a stalled or unwanted child."""
-        rest, begun_s = ThreadStallDetector(child.pid, child.pid), time.monotonic()
+        rest, begun_s = core.ThreadStallDetector(child.pid, child.pid), time.monotonic()
         try:
             while not select.select([answers], [], [], LOOK_S)[0]:
                 now_s = time.monotonic()
@@ -142,10 +135,10 @@ class EmulatedProcess:
                     self._over.set()  # before the end: the watch tells of no end that is meant
                     child.kill()
                     self.close()
-                    raise FaultError(NOT_SET)
+                    raise core.FaultError(NOT_SET)
             return answers.readline()
         except ValueError as error:  # closed meanwhile
-            raise FaultError(GONE) from error
+            raise core.FaultError(GONE) from error
 
     def _running(self) -> subprocess.Popen[str]:
         if self._child is None:
@@ -164,7 +157,7 @@ class EmulatedProcess:
         return self._child
 
     def _watch(self, child: subprocess.Popen[str], over: threading.Event) -> None:
-        watch = ProcessStallDetector(child.pid)
+        watch = core.ProcessStallDetector(child.pid)
         while not over.wait(LOOK_S):
             if child.poll() is not None:
                 if not over.is_set():
@@ -177,13 +170,13 @@ class EmulatedProcess:
             self._still = still
 
 
-STILL = Fault(
+STILL = core.Fault(
     "BENCH-STILL",
     "The process of the emulated bench is stalled.",
     "All emulated devices are silent.",
     "Wait, or start Touchdown again.",
 )
-NOT_SET = Fault(
+NOT_SET = core.Fault(
     "SCENE-NOT-SET",
     "The process of the emulated bench does not set the scene.",
     "It was ended, and all emulated devices with it.",
@@ -225,7 +218,7 @@ def _set(order: dict[str, Any], present: ExitStack) -> tuple[str, int]:
 
 if __name__ == "__main__":
     # The threads share one interpreter lock, so none may be delayed by other programs.
-    with round_robin_priority(EMULATOR_PRIORITY) as granted:
+    with core.round_robin_priority(EMULATOR_PRIORITY) as granted:
         if not granted:
-            request_short_slices()
+            core.request_short_slices()
         serve(sys.stdin, sys.stdout)

@@ -12,14 +12,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from touchdown.backend import calibration
 from touchdown.backend.bench.assembly import BenchModels, run_record
 from touchdown.backend.bench.session import Session
-from touchdown.backend.calibration import (
-    CalibrationRecord,
-    CalibrationStore,
-    calibrated_cameras,
-    camera_conflicts,
-)
 from touchdown.backend.config import Lab, StackSettings, load_lab
 from touchdown.backend.core import BenchClock, InputError, RawStreams, raised_priority
 from touchdown.backend.geometry import Piece, PieceLibrary, load_pieces
@@ -68,7 +63,7 @@ def lab_session(
         calibrations_of(written).in_use({}, required=True)
     lab, seats = written, _seats(written)
     if seats is not None:
-        gelsight = calibrated_cameras(written.settings.gelsight, seats)
+        gelsight = calibration.calibrated_cameras(written.settings.gelsight, seats)
         lab = Lab(written.path, written.settings.model_copy(update={"gelsight": gelsight}))
     method = method or StackSettings()
     bench = _LabBench(lab, catalogue, method, registry)
@@ -139,10 +134,10 @@ def open_lab(
     return session
 
 
-def calibrations_of(lab: Lab, *, window: bool = False) -> CalibrationStore:
+def calibrations_of(lab: Lab, *, window: bool = False) -> calibration.CalibrationStore:
     """Return the calibrations of a laboratory, beside its file or in the configured folder."""
     bench = None if window else f"--bench {shlex.quote(str(lab.path))} --home"
-    return CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.facts.gels)
+    return calibration.CalibrationStore(lab.calibrations, lab.settings.kind, bench, lab.facts.gels)
 
 
 def find_camera_conflicts(lab: Lab, *, window: bool = False) -> dict[str, str]:
@@ -151,7 +146,7 @@ def find_camera_conflicts(lab: Lab, *, window: bool = False) -> dict[str, str]:
     if seats is None:
         return {}
     step = store.step("camera")
-    found = camera_conflicts(lab.settings.gelsight, seats, step)
+    found = calibration.camera_conflicts(lab.settings.gelsight, seats, step)
     for finger, text in store.gels.replaced_after(seats.file.date).items():
         name, told = f"tactile_{finger}", f"T{text[1:]}: calibration, models and certificates of "
         told += f"the old gel do not hold. {step[:1].upper()}{step[1:]}"
@@ -159,7 +154,7 @@ def find_camera_conflicts(lab: Lab, *, window: bool = False) -> dict[str, str]:
     return found
 
 
-def _seats(lab: Lab) -> CalibrationRecord | None:
+def _seats(lab: Lab) -> calibration.CalibrationRecord | None:
     """Return the calibration of the cameras; an expired one still holds for the assignment."""
     kept = calibrations_of(lab).status("camera", {})
     return kept.record if kept.condition in ("valid", "expired", "gel replaced") else None
@@ -188,7 +183,7 @@ class _LabBench:
         self._first = first
 
     def wire(
-        self, session: Session, store: CalibrationStore, *, any_gels: bool
+        self, session: Session, store: calibration.CalibrationStore, *, any_gels: bool
     ) -> BenchConnection:  # fmt: skip
         """Make the drivers on the streams of ``session``; return their connection."""
         raw, settings, session.usual = session.raw, self._lab.settings, self._first

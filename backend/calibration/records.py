@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
+from touchdown.backend import core
 from touchdown.backend.calibration.cameras import FINGERPRINT_VALUES
 from touchdown.backend.calibration.day_checks import DayChecks
 from touchdown.backend.calibration.gels import GelLedger
@@ -28,15 +29,6 @@ from touchdown.backend.calibration.result import (
     CalibrationName,
 )
 from touchdown.backend.config import BenchIdentity, Settings
-from touchdown.backend.core import (
-    CalibrationMeasured,
-    InputError,
-    RefusedError,
-    check_writable,
-    disk_errors,
-    parse_json,
-    write_atomically,
-)
 
 VERSION = 1
 MAX_CHARACTERS = 1_000_000
@@ -145,25 +137,27 @@ def read_record(path: Path) -> CalibrationRecord:
             text = stream.read(MAX_CHARACTERS + 1)
         if len(text) > MAX_CHARACTERS:
             raise ValueError(f"it is longer than {MAX_CHARACTERS} characters")
-        content = parse_json(text)
+        content = core.parse_json(text)
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
-        raise InputError(
+        raise core.InputError(
             f"This is not a calibration of version {VERSION}: {_first_error(error)}.",
             str(path),
             "Calibrate again; the damaged file can be deleted.",
         ) from error
     if given != content_sha256(file):
-        raise InputError(
+        raise core.InputError(
             "The calibration was changed after it was accepted.",
             str(path),
             "Calibrate again; a number is never corrected by hand.",
         )
     if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
-        raise InputError("The date of the calibration is not UTC.", str(path), "Calibrate again.")
+        raise core.InputError(
+            "The date of the calibration is not UTC.", str(path), "Calibrate again."
+        )
     if flaw := _find_flaw(file):
-        raise InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
+        raise core.InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
     return CalibrationRecord(file, given)
 
 
@@ -254,14 +248,14 @@ class CalibrationStore:
 
     def check_writable(self) -> None:
         """Raise ``InputError`` unless calibrations and daily checks can be stored."""
-        with disk_errors("The calibration cannot be written", self.folder, UNWRITABLE_FIX):
-            check_writable(self.folder)
+        with core.disk_errors("The calibration cannot be written", self.folder, UNWRITABLE_FIX):
+            core.check_writable(self.folder)
             for path in self.folder.glob(f"day-checks-{self.mode}.jsonl"):
                 path.open("ab").close()
 
     def accept(
         self,
-        measured: CalibrationMeasured,
+        measured: core.CalibrationMeasured,
         devices: Mapping[str, DeviceName],
         person: str = "",
         now: datetime | None = None,
@@ -273,9 +267,9 @@ class CalibrationStore:
         the folder cannot be written.
         """
         if measured.obstacle:
-            raise RefusedError("OBSTACLE", measured.obstacle)
+            raise core.RefusedError("OBSTACLE", measured.obstacle)
         if not measured.acceptable:
-            raise RefusedError(
+            raise core.RefusedError(
                 "RESIDUAL",
                 f"The residual of {measured.residual:.3g} {measured.unit} exceeds "
                 f"{measured.limit:g} {measured.unit}: measure again.",
@@ -304,8 +298,8 @@ class CalibrationStore:
         )
         record = CalibrationRecord.of(file)
         path = self.folder / f"{kind.what}-{date:%Y%m%d-%H%M%S}-{record.sha256[:8]}.json"
-        with disk_errors("The calibration cannot be written", path, UNWRITABLE_FIX):
-            write_atomically(path, record.text().encode())
+        with core.disk_errors("The calibration cannot be written", path, UNWRITABLE_FIX):
+            core.write_atomically(path, record.text().encode())
         return path
 
     def status(
@@ -320,7 +314,7 @@ class CalibrationStore:
             record = self._newest(what)
             seen = record if what == "camera" else None
             replaced = {} if seen is None else self.gels.replaced_after(seen.file.date)
-        except InputError as error:
+        except core.InputError as error:
             return status("damaged", None, f"{error.what} [{error.where}]")
         if record is None:
             return status("missing", None, "never calibrated on this bench")
@@ -355,7 +349,7 @@ class CalibrationStore:
                 used[status.what] = status.record
             elif required:
                 title = CALIBRATION_KINDS[status.what].title
-                raise RefusedError(
+                raise core.RefusedError(
                     f"CALIBRATION-{status.condition.upper().replace(' ', '-')}",
                     f"{title}: {status.why}.",
                     status.fix,

@@ -17,17 +17,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from touchdown.backend.core import (
-    FINGERS,
-    Fault,
-    FaultError,
-    Finger,
-    FloatArray,
-    SampleStream,
-    StaleSampleError,
-    Stream,
-    TactileFrame,
-)
+from touchdown.backend import core
 from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import Interlock
 from touchdown.backend.devices.protocols import Device, DeviceState, Gripper
@@ -75,7 +65,7 @@ class GripMonitor:
         """True if a piece was held at the last reading."""
         return self._since_s is not None
 
-    def check(self, now_s: float) -> Fault | None:
+    def check(self, now_s: float) -> core.Fault | None:
         """Return the fault of a lost piece, once; otherwise None."""
         gripper = self._gripper
         if gripper is None:
@@ -129,8 +119,8 @@ class GripMonitor:
         return ordered.letting_go
 
 
-def _lost_fault(what: str) -> Fault:
-    return Fault(
+def _lost_fault(what: str) -> core.Fault:
+    return core.Fault(
         "PIECE-LOST",
         what,
         "Motion stopped; the probe in progress is void; the gripper was not opened.",
@@ -155,11 +145,11 @@ class StallMonitor:
         self._checked_s = 0.0
         self._begin(np.zeros(7))
 
-    def _begin(self, place: FloatArray) -> None:
+    def _begin(self, place: core.FloatArray) -> None:
         # Position and press force, how long they stand, and the commanded way in least motions.
         self._place, self._stood_s, self._way, self._told = place, 0.0, 0.0, False
 
-    def check(self, now_s: float) -> Fault | None:
+    def check(self, now_s: float) -> core.Fault | None:
         """Return the fault of an arm that does not move, once; otherwise None."""
         arm, passed_s, self._checked_s = self._arm, now_s - self._checked_s, now_s
         # While this process did not run, it commanded no motion either.
@@ -171,7 +161,7 @@ class StallMonitor:
         onset_s = getattr(motion, "onset_s", None)
         try:
             place = np.array([*astuple(arm.pose(STALLED_S)), arm.press_n()])
-        except (StaleSampleError, FaultError):
+        except (core.StaleSampleError, core.FaultError):
             return None  # a silent arm has a fault of its own
         away = place - self._place
         sizes = (np.linalg.norm(away[:3]), np.linalg.norm(away[3:6]), abs(away[6]))
@@ -183,7 +173,7 @@ class StallMonitor:
         if self._told or self._stood_s <= STALLED_S or self._way <= 1.0 / STALLED_SHARE:
             return None
         self._told = True
-        return Fault(
+        return core.Fault(
             "ARM-STALLED",
             f"The arm has not moved for {self._stood_s:.1f} s although a motion is under way.",
             MOTION_STOPPED,
@@ -224,8 +214,8 @@ class Supervision:
     def __init__(
         self,
         interlock: Interlock,
-        wrench: SampleStream,
-        frames: Mapping[Finger, Stream[TactileFrame]],
+        wrench: core.SampleStream,
+        frames: Mapping[core.Finger, core.Stream[core.TactileFrame]],
     ) -> None:
         self._interlock, self._wrench, self._frames = interlock, wrench, frames
         self._rates = {device: RateMonitor() for device in LATE_SHARE}
@@ -253,8 +243,8 @@ class Supervision:
         self._grip = GripMonitor(gripper)
         self._begun_s = self._finite_s = now_s
         self._cursor = self._wrench.count
-        self._pictures = [PictureMonitor(finger, self._frames[finger]) for finger in FINGERS]
-        self._counts = {finger: self._frames[finger].count for finger in FINGERS}
+        self._pictures = [PictureMonitor(finger, self._frames[finger]) for finger in core.FINGERS]
+        self._counts = {finger: self._frames[finger].count for finger in core.FINGERS}
         for rate in self._rates.values():
             rate.begin()
         self._show((), now_s)
@@ -284,10 +274,10 @@ class Supervision:
         told = 0.0 if self._wrist is None else self._wrist.describe().get("usual_hz", 0.0)
         return told if isinstance(told, float) and math.isfinite(told) else 0.0
 
-    def unwell(self) -> Fault | None:
+    def unwell(self) -> core.Fault | None:
         """Return the fault of a run that pauses for a degraded device, None without one."""
         for one in self.degraded:
-            return Fault(
+            return core.Fault(
                 "DEGRADED",
                 one.what(self._now_s),
                 "The run is paused, the arm stands lifted; every probe so far is safe.",
@@ -304,7 +294,7 @@ class Supervision:
         twice = bool((over[:-1] & over[1:]).any())
         if twice or bool((force > limits.trip_at_once_n).any()):
             self._interlock.raise_fault(
-                Fault(
+                core.Fault(
                     "FT-TRIP",
                     f"Force trip: {force.max():.1f} N, {moment.max():.2f} N·m "
                     f"(limits {limits.trip_n:.0f} N, {limits.trip_nm:.1f} N·m).",
@@ -315,11 +305,11 @@ class Supervision:
             )
 
     def _check_ages(self, now_s: float) -> None:
-        limits, late, stale = self._interlock.limits, list[DegradedDevice](), list[Fault]()
+        limits, late, stale = self._interlock.limits, list[DegradedDevice](), list[core.Fault]()
         # A camera that reports why its pictures are rejected is silent for the same reason.
         explained = {fault.device for fault in self._interlock.faults} - {"force_torque"}
         ages = [("force_torque", self._finite_s, limits.wrench_age_s)]
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             newest = self._frames[finger].newest()
             last_s = self._begun_s if newest is None else max(self._begun_s, newest.t_s)
             ages.append((f"tactile_{finger}", last_s, limits.frame_age_s))
@@ -344,7 +334,7 @@ class Supervision:
         for fault in stale:
             self._interlock.raise_fault(fault)
 
-    def _check_grip(self, now_s: float) -> Iterator[tuple[Fault | None, DegradedDevice]]:
+    def _check_grip(self, now_s: float) -> Iterator[tuple[core.Fault | None, DegradedDevice]]:
         """Yield the gripper if it holds a piece and is late, with its fault if it stays silent. A
         gripper without a valid width counts as silent.
         """
@@ -357,15 +347,15 @@ class Supervision:
             fault = stale_fault("gripper", now_s - last_s) if lost else None
             yield fault, DegradedDevice("gripper", "silent", last_s)
 
-    def _check_arm(self, now_s: float, explained: Collection[str]) -> Iterator[Fault]:
+    def _check_arm(self, now_s: float, explained: Collection[str]) -> Iterator[core.Fault]:
         """Yield the fault of an arm that may be moved and has reported no position for a while."""
         if self._arm is None or "arm" in explained or not self._interlock.has_lease(now_s):
             return
         try:
             self._arm.pose(ARM_LOST_S)
-        except StaleSampleError:
+        except core.StaleSampleError:
             yield stale_fault("arm", ARM_LOST_S)
-        except FaultError:
+        except core.FaultError:
             return  # the link to the arm has reported why
 
     def _show(self, late: tuple[DegradedDevice, ...], now_s: float) -> None:

@@ -22,13 +22,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError, model_validator
 
-from touchdown.backend.config import (
-    NonNegative,
-    Positive,
-    Settings,
-    first_error_message,
-    read_settings,
-)
+from touchdown.backend import config
 from touchdown.backend.core import Decimator, InputError
 from touchdown.backend.emulation.simulated_disturbances import FAULT_FORM
 
@@ -59,16 +53,16 @@ FaultShare = Annotated[float, Field(gt=0, le=1)]
 LONGEST_GARBAGE = 64
 
 
-class PlannedFault(Settings):
+class PlannedFault(config.Settings):
     """One fault; ``at_s`` counts from the start of the emulator."""
 
-    at_s: NonNegative
+    at_s: config.NonNegative
     device: str
     kind: str
-    for_s: Positive | None = None
+    for_s: config.Positive | None = None
     share: FaultShare = 1.0
-    by_s: Positive = 0.1
-    hz: Positive | None = None
+    by_s: config.Positive = 0.1
+    hz: config.Positive | None = None
     n_per_s: float | None = None
 
     @model_validator(mode="after")
@@ -90,7 +84,7 @@ class PlannedFault(Settings):
         return self.at_s <= t_s < self.at_s + (float("inf") if self.for_s is None else self.for_s)
 
 
-class FaultPlan(Settings):
+class FaultPlan(config.Settings):
     """All planned faults; ``seed`` makes random faults reproducible."""
 
     seed: int = 0
@@ -99,7 +93,7 @@ class FaultPlan(Settings):
 
 def load_faults(path: Path) -> FaultPlan:
     """Read a fault plan; raises ``InputError`` naming the first bad entry."""
-    return read_settings(FaultPlan, path)
+    return config.read_settings(FaultPlan, path)
 
 
 def parse_fault(text: str) -> PlannedFault:
@@ -121,7 +115,7 @@ def parse_fault(text: str) -> PlannedFault:
     try:
         return PlannedFault.model_validate(values)
     except ValidationError as error:
-        what = f"This is no fault of the emulated bench: {first_error_message(error)}."
+        what = f"This is no fault of the emulated bench: {config.first_error_message(error)}."
         raise InputError(what, text, "Choose another device or kind.") from error
 
 

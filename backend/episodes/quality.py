@@ -9,15 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core
 from touchdown.backend.config import TICK_S
-from touchdown.backend.core import (
-    FINGERS,
-    MARKERS,
-    TACTILE_CHANNELS,
-    EpisodeQuality,
-    FloatArray,
-    read_only,
-)
 from touchdown.backend.geometry import MIN_OVERLAP_MM2, Outline, overlap_area_mm2
 
 BIN_MM = 2.0
@@ -36,8 +29,8 @@ class Coverage:
     bin_mm: float = BIN_MM
 
     def __post_init__(self) -> None:
-        read_only(self.counts)
-        read_only(self.possible)
+        core.read_only(self.counts)
+        core.read_only(self.possible)
 
     def centre_mm(self, row: int, column: int) -> tuple[float, float]:
         """Return the centre of a bin."""
@@ -61,7 +54,7 @@ class Coverage:
         return Coverage(counts, self.possible)
 
 
-def count_coverage(offsets_mm: FloatArray, face: Outline, bottom: Outline) -> Coverage:
+def count_coverage(offsets_mm: core.FloatArray, face: Outline, bottom: Outline) -> Coverage:
     """Count ``offsets_mm`` (n, 2) of ``face`` above ``bottom`` per bin."""
     reach = np.add(face.half_extents_mm, bottom.half_extents_mm)
     columns, rows = (2 * np.ceil(reach / BIN_MM).astype(int) + 1).tolist()
@@ -72,7 +65,7 @@ def count_coverage(offsets_mm: FloatArray, face: Outline, bottom: Outline) -> Co
     return Coverage(count_bins(offsets_mm, (rows, columns)), possible)
 
 
-def count_bins(offsets_mm: FloatArray, shape: tuple[int, ...]) -> NDArray[np.intp]:
+def count_bins(offsets_mm: core.FloatArray, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Return the number of ``offsets_mm`` (n, 2) per bin, (ny, nx)."""
     counts = np.zeros(shape, dtype=np.intp)
     offsets = np.asarray(offsets_mm, dtype=np.float64).reshape(-1, 2)
@@ -104,7 +97,7 @@ RARE = 0.001  # significance level of that test
 
 _RAMP = slice(8, 14)
 _HELD = slice(16, 20)
-_FX, _FZ = TACTILE_CHANNELS, TACTILE_CHANNELS + 2
+_FX, _FZ = core.TACTILE_CHANNELS, core.TACTILE_CHANNELS + 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +109,7 @@ class ExaminedEpisode:
     """
 
     uuid: str
-    offset_mm: FloatArray
+    offset_mm: core.FloatArray
     features: NDArray[np.float32]
     findings: tuple[tuple[Kind, str], ...]
 
@@ -125,8 +118,8 @@ class ExaminedEpisode:
         cls,
         uuid: str,
         observation: NDArray[np.float32],
-        offset_mm: FloatArray,
-        quality: EpisodeQuality,
+        offset_mm: core.FloatArray,
+        quality: core.EpisodeQuality,
     ) -> ExaminedEpisode:
         """Examine an episode; ``observation`` (20, 258) as in ``Episode``."""
         features = observation[-5:].mean(axis=0)
@@ -210,8 +203,8 @@ def find_contradicting_repeats(rows: Sequence[ExaminedEpisode]) -> list[QualityI
 
 
 def _nearest_other_label(
-    features: FloatArray, offsets: FloatArray
-) -> tuple[FloatArray, NDArray[np.intp]]:
+    features: core.FloatArray, offsets: core.FloatArray
+) -> tuple[core.FloatArray, NDArray[np.intp]]:
     """Return distance to and index of the nearest episode with another label, (n,) each."""
     count = len(features)
     distance, nearest = np.full(count, np.inf), np.zeros(count, dtype=np.intp)
@@ -227,7 +220,7 @@ def _nearest_other_label(
 
 
 def _single_findings(
-    observation: NDArray[np.float32], quality: EpisodeQuality
+    observation: NDArray[np.float32], quality: core.EpisodeQuality
 ) -> Iterator[tuple[Kind, str]]:
     press_n = float(observation[-1, _FZ])
     if not press_n >= CONTACT_N:
@@ -240,7 +233,7 @@ def _single_findings(
     if step[worst] > JERK_N:
         at_s = (worst + 2) * TICK_S
         yield "jerk", f"The force jumps by {step[worst]:.1f} N at {at_s:.1f} s."
-    shift = float(np.nanmax(np.abs(observation[:, :TACTILE_CHANNELS]), initial=0.0))
+    shift = float(np.nanmax(np.abs(observation[:, : core.TACTILE_CHANNELS]), initial=0.0))
     if shift > SATURATED_PX:
         yield "saturated markers", f"A marker moved by {shift:.0f} px."
     if quality.lost_markers > LOST_MARKERS:
@@ -248,7 +241,7 @@ def _single_findings(
     if quality.dropped_frames > DROPPED_FRAMES:
         yield "dropped frames", f"{quality.dropped_frames} frames were lost."
     skews = []
-    for finger, lag_s in zip(FINGERS, lags_s(observation), strict=True):
+    for finger, lag_s in zip(core.FINGERS, lags_s(observation), strict=True):
         if abs(lag_s) > LAG_S:
             way = "behind" if lag_s > 0 else "ahead of"
             skews.append(f"The {finger} gel is {1e3 * abs(lag_s):.0f} ms {way} the force.")
@@ -266,13 +259,13 @@ def lags_s(observation: NDArray[np.float32]) -> Iterator[float]:
     """
     # The wrench of a tick is the mean of the 0.1 s before it, which delays its knee by 0.05 s.
     force_s = _knee_s(observation[:, _FZ].astype(np.float64)) - 0.5 * TICK_S
-    shear = observation[:, :TACTILE_CHANNELS].astype(np.float64)
-    for finger in range(len(FINGERS)):
-        down = shear.reshape(-1, len(FINGERS), 2, MARKERS)[:, finger, 1].mean(axis=1)
+    shear = observation[:, : core.TACTILE_CHANNELS].astype(np.float64)
+    for finger in range(len(core.FINGERS)):
+        down = shear.reshape(-1, len(core.FINGERS), 2, core.MARKERS)[:, finger, 1].mean(axis=1)
         yield _knee_s(down) - force_s
 
 
-def _knee_s(signal: FloatArray) -> float:
+def _knee_s(signal: core.FloatArray) -> float:
     """Return the time at which the line through the ramp reaches the level of the hold."""
     t_s = TICK_S * np.arange(1, len(signal) + 1)
     if not np.isfinite(signal).all():

@@ -9,28 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core, episodes
 from touchdown.backend.annotations import CacheRow, Dataset, read_observation
 from touchdown.backend.config import SAMPLES_PER_PROBE
-from touchdown.backend.core import (
-    FINGERS,
-    TACTILE_CHANNELS,
-    WRENCH_CHANNELS,
-    FloatArray,
-    ImageArray,
-    InputError,
-    Recording,
-    parse_json,
-)
-from touchdown.backend.episodes import (
-    COMMAND_TOPIC,
-    FACTS_KEY,
-    HOMOGRAPHY_KEY,
-    CompressedEpisode,
-    episode_of,
-    read_compressed_episode,
-    read_first,
-    to_ns,
-)
 from touchdown.backend.exchange import features
 from touchdown.backend.exchange.query import SelectedEpisode
 from touchdown.backend.exchange.video import HEIGHT, WIDTH
@@ -42,7 +23,7 @@ class ExportEpisode:
 
     chosen: SelectedEpisode
     values: Mapping[str, features.Values]
-    pictures: Mapping[str, tuple[ImageArray, ...]]
+    pictures: Mapping[str, tuple[core.ImageArray, ...]]
 
     def per_tick(self, feature: features.Feature) -> features.Values:
         """Return ``feature`` as (20, ...), repeated if it is constant."""
@@ -56,7 +37,7 @@ def face_points(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> int:
     faces = {name: dataset.geometry.read(name)["face"] for name in pairs}
     if len(set(faces.values())) != 1:
         pieces = sorted({one.entry.piece for one in chosen})
-        raise InputError(
+        raise core.InputError(
             f"The episodes belong to different grasped faces ({', '.join(pieces)}).",
             str(dataset.folder),
             "Name one piece with --piece: this format has arrays of one size.",
@@ -91,12 +72,18 @@ def common_signals(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> Expor
     for one in chosen:
         if one.entry.mode == "mass":
             return ExportSignals()
-        first = read_first(dataset.folder / one.entry.path)
+        first = episodes.read_first(dataset.folder / one.entry.path)
         if first.metadata["episode"]["recording"] != "native":
             return ExportSignals()
-        commanded = commanded and COMMAND_TOPIC.name in first.messages
-        scene = scene and f'"{HOMOGRAPHY_KEY}"' in first.metadata["pairs"]["items"]
-        modes.add(str(parse_json(first.metadata["bench"].get(FACTS_KEY, "{}")).get("mode", "")))
+        commanded = commanded and episodes.COMMAND_TOPIC.name in first.messages
+        scene = scene and f'"{episodes.HOMOGRAPHY_KEY}"' in first.metadata["pairs"]["items"]
+        modes.add(
+            str(
+                core.parse_json(first.metadata["bench"].get(episodes.FACTS_KEY, "{}")).get(
+                    "mode", ""
+                )
+            )
+        )
     robot = "_".join(["touchdown", *(modes if len(modes) == 1 else ())]).rstrip("_")
     return ExportSignals(True, commanded, scene, robot)
 
@@ -114,9 +101,9 @@ def read_export(
     if one.entry.mode == "mass":
         return ExportEpisode(one, values | _observed(_packed(dataset, one)), {})
     path = dataset.folder / one.entry.path
-    film = read_compressed_episode(path) if pictures else None
+    film = episodes.read_compressed_episode(path) if pictures else None
     # The first chunk holds everything but the images, in a twentieth of the file.
-    episode = episode_of(read_first(path), path) if film is None else film.episode
+    episode = episodes.episode_of(episodes.read_first(path), path) if film is None else film.episode
     values |= _observed(episode.observation)
     if signals.native:
         assert episode.recording is not None
@@ -141,51 +128,53 @@ def _packed(dataset: Dataset, one: SelectedEpisode) -> NDArray[np.float32]:
 
 
 def _observed(observation: NDArray[np.float32]) -> dict[str, features.Values]:
-    split = np.split(observation, [TACTILE_CHANNELS], axis=1)
+    split = np.split(observation, [core.TACTILE_CHANNELS], axis=1)
     return {features.MARKERS: split[0].copy(), features.FT: split[1].copy()}
 
 
 def _recorded(
-    recording: Recording, onset_s: float, *, commanded: bool
+    recording: core.Recording, onset_s: float, *, commanded: bool
 ) -> dict[str, features.Values]:
     """Return wrench windows and poses at the ticks, all times in integer ns since contact.
 
     The action is the commanded pose of the next tick; the measured pose if it is not known.
     """
-    onset_ns = int(to_ns([onset_s])[0])
+    onset_ns = int(episodes.to_ns([onset_s])[0])
     ticks_ns = features.TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1)
     fine_ns = (features.TICK_NS // features.WINDOW) * np.arange(
         1, features.WINDOW * SAMPLES_PER_PROBE + 1
     )
     # Sample and hold: at 1 kHz these are the samples themselves, shifted by less than 1 ms.
-    latest = np.searchsorted(to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
+    latest = (
+        np.searchsorted(episodes.to_ns(recording.wrench_t_s) - onset_ns, fine_ns, side="right") - 1
+    )
     wrench = recording.wrench[np.maximum(latest, 0)].astype(np.float32)
-    at_ns = to_ns(recording.pose_t_s) - onset_ns
+    at_ns = episodes.to_ns(recording.pose_t_s) - onset_ns
     xyz_mm = [np.interp(ticks_ns, at_ns, recording.pose_mm[:, axis]) for axis in range(3)]
     state = _poses(np.stack(xyz_mm, axis=1))
     action = np.concatenate([state[1:], state[-1:]])
     if commanded:
-        told_ns = to_ns(recording.command_t_s) - onset_ns
+        told_ns = episodes.to_ns(recording.command_t_s) - onset_ns
         holds = np.searchsorted(told_ns, ticks_ns + features.TICK_NS, side="right") - 1
         action = _poses(recording.command_mm[np.maximum(holds, 0)])
-    windows = wrench.reshape(SAMPLES_PER_PROBE, features.WINDOW, WRENCH_CHANNELS)
+    windows = wrench.reshape(SAMPLES_PER_PROBE, features.WINDOW, core.WRENCH_CHANNELS)
     return {features.FT_WINDOW: windows, features.STATE: state, features.ACTION: action}
 
 
-def _poses(position_mm: FloatArray) -> NDArray[np.float32]:
+def _poses(position_mm: core.FloatArray) -> NDArray[np.float32]:
     poses = np.zeros((len(position_mm), 7), dtype=np.float32)
     poses[:, :3] = position_mm / 1e3
     poses[:, 6] = 1.0
     return poses
 
 
-def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
+def _pictures(film: episodes.CompressedEpisode) -> dict[str, tuple[core.ImageArray, ...]]:
     ticks_s = film.episode.onset_s + np.arange(1, SAMPLES_PER_PROBE + 1) / features.FPS
     found = {
         features.PICTURES[finger]: _nearest(
             film.pictures[finger].t_s, film.pictures[finger].picture, ticks_s
         )
-        for finger in FINGERS
+        for finger in core.FINGERS
         if film.pictures[finger].packed
     }
     recording = film.episode.recording
@@ -199,8 +188,8 @@ def _pictures(film: CompressedEpisode) -> dict[str, tuple[ImageArray, ...]]:
 
 
 def _nearest(
-    t_s: FloatArray, picture: Callable[[int], ImageArray], ticks_s: FloatArray
-) -> tuple[ImageArray, ...]:
+    t_s: core.FloatArray, picture: Callable[[int], core.ImageArray], ticks_s: core.FloatArray
+) -> tuple[core.ImageArray, ...]:
     index = np.abs(t_s[None, :] - ticks_s[:, None]).argmin(axis=1).tolist()
     decoded = {k: np.ascontiguousarray(picture(k)[:, :, ::-1]) for k in sorted(set(index))}
     return tuple(decoded[k] for k in index)

@@ -24,6 +24,7 @@ from uuid import UUID
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import core
 from touchdown.backend.annotations import (
     NO_LABEL,
     SPLIT_TAG,
@@ -38,18 +39,6 @@ from touchdown.backend.annotations import (
     uuid7_from_parts,
 )
 from touchdown.backend.config import SAMPLES_PER_PROBE, read_settings
-from touchdown.backend.core import (
-    FINGERS,
-    TACTILE_CHANNELS,
-    WRENCH_CHANNELS,
-    Episode,
-    FloatArray,
-    InputError,
-    Recording,
-    TactileFrame,
-    errors_as_input,
-    write_atomically,
-)
 from touchdown.backend.exchange import features
 from touchdown.backend.exchange.exports import PARTIAL
 from touchdown.backend.exchange.features import ForeignEpisode, RecordedSignal, load_foreign
@@ -100,11 +89,13 @@ def read_foreign(
                 until_s = time.monotonic() + deadline_s
                 while not wait([said], CANCEL_S).done and time.monotonic() < until_s:
                     if cancelled.is_set():
-                        raise InputError("Cancelled.", str(source), "Nothing was imported.")
+                        raise core.InputError("Cancelled.", str(source), "Nothing was imported.")
                 line = said.result(0.0)
                 answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
                 if "error" in answer:
-                    raise InputError(answer["error"], answer["where"] or str(source), answer["fix"])
+                    raise core.InputError(
+                        answer["error"], answer["where"] or str(source), answer["fix"]
+                    )
                 if "episode" not in answer:
                     break
                 path = Path(answer["episode"])
@@ -113,7 +104,7 @@ def read_foreign(
         except TimeoutError:
             what = f"The file was not read within {deadline_s:g} s and was given up."
             fix = "It is damaged or far too large; use another copy."
-            raise InputError(what, str(source), fix) from None
+            raise core.InputError(what, str(source), fix) from None
         finally:
             child.kill()
         if "done" not in answer:
@@ -121,7 +112,7 @@ def read_foreign(
             printed = stderr.read()[-2000:].decode("utf-8", "replace").splitlines()
             last = f" ({printed[-1]})" if printed else ""
             what = f"The reader crashed on this file{last}."
-            raise InputError(what, str(source), "It is damaged; use another copy.")
+            raise core.InputError(what, str(source), "It is damaged; use another copy.")
 
 
 def recording_contents(source: Path, cancelled: Event = NEVER) -> list[RecordedSignal]:
@@ -144,7 +135,7 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
         return "its number is out of range"
     if not foreign.quality.accepted:
         return f"it is no whole press: {foreign.quality.reasons[0]}"
-    needed = {features.MARKERS: TACTILE_CHANNELS, features.FT: WRENCH_CHANNELS}
+    needed = {features.MARKERS: core.TACTILE_CHANNELS, features.FT: core.WRENCH_CHANNELS}
     lacking = sorted(set(needed) - set(values))
     if lacking:
         return f"it lacks {', '.join(lacking)}"
@@ -175,47 +166,51 @@ def _observation(foreign: ForeignEpisode) -> NDArray[np.float32]:
 
 def _has_signals(values: Mapping[str, NDArray[Any]]) -> bool:
     shapes = {
-        features.FT_WINDOW: (SAMPLES_PER_PROBE, features.WINDOW, WRENCH_CHANNELS),
+        features.FT_WINDOW: (SAMPLES_PER_PROBE, features.WINDOW, core.WRENCH_CHANNELS),
         features.STATE: (SAMPLES_PER_PROBE, 7),
     }
     # A state may hold other signals behind the pose.
     return all(k in values and values[k][:, : s[1]].shape == s for k, s in shapes.items())
 
 
-def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> Recording | None:
+def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> core.Recording | None:
     """Return the signals, with times from the contact in integer ns."""
     if not _has_signals(values):
         return None
     step_ns, size = features.TICK_NS // features.WINDOW, features.WINDOW * SAMPLES_PER_PROBE
     fine_ns = step_ns * np.arange(1, size + 1)
     ticks_s = 1e-9 * features.TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
-    wrench: FloatArray = values[features.FT_WINDOW].reshape(-1, WRENCH_CHANNELS).astype(np.float64)
+    wrench: core.FloatArray = (
+        values[features.FT_WINDOW].reshape(-1, core.WRENCH_CHANNELS).astype(np.float64)
+    )
     action = values.get(features.ACTION, np.zeros(0)) if commanded else np.zeros(0)
     command_mm = _position_mm(
         action if action.shape == (SAMPLES_PER_PROBE, 7) else np.zeros((0, 3))
     )
-    return Recording(
+    return core.Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
         wrench=wrench,
         fields=(),
         frames=_frames(values, ticks_s),
         pose_t_s=ticks_s,
         pose_mm=_position_mm(values[features.STATE]),
-        tare=np.zeros(WRENCH_CHANNELS),
+        tare=np.zeros(core.WRENCH_CHANNELS),
         command_t_s=np.asarray(ticks_s + 1e-9 * features.TICK_NS)[: len(command_mm)],
         command_mm=command_mm,
     )
 
 
-def _position_mm(poses: NDArray[Any]) -> FloatArray:
+def _position_mm(poses: NDArray[Any]) -> core.FloatArray:
     return np.asarray(poses[:, :3].astype(np.float64) * 1e3, dtype=np.float64)
 
 
-def _frames(values: Mapping[str, NDArray[Any]], ticks_s: FloatArray) -> tuple[TactileFrame, ...]:
+def _frames(
+    values: Mapping[str, NDArray[Any]], ticks_s: core.FloatArray
+) -> tuple[core.TactileFrame, ...]:
     shape = (SAMPLES_PER_PROBE, *FRAME_SHAPE)
-    films = {finger: values.get(features.PICTURES[finger], np.zeros(0)) for finger in FINGERS}
+    films = {finger: values.get(features.PICTURES[finger], np.zeros(0)) for finger in core.FINGERS}
     return tuple(
-        TactileFrame(finger, k, float(t_s), np.ascontiguousarray(film[k, :, :, ::-1], np.uint8))
+        core.TactileFrame(finger, k, float(t_s), np.ascontiguousarray(film[k, ..., ::-1], np.uint8))
         for k, t_s in enumerate(ticks_s)
         for finger, film in films.items()
         if film.shape == shape
@@ -282,7 +277,7 @@ class EpisodeImport:
 
     def __init__(self, dataset: Dataset, kind: str, source: Path, options: ImportOptions) -> None:
         if source.name.endswith(PARTIAL):
-            raise InputError("This export was interrupted.", str(source), "Export it again.")
+            raise core.InputError("This export was interrupted.", str(source), "Export it again.")
         self._dataset, self._kind, self._source, self._options = dataset, kind, source, options
         self._actor = check_person(options.actor)
         file = options.mapping
@@ -418,7 +413,7 @@ class EpisodeImport:
         pairs = (("imported_as", origin["uuid"]),) if origin["uuid"] else ()
         recording = foreign.recording or _recording(foreign.values, commanded=self._commanded)
         onset_s = CONTACT_S if foreign.recording else 0.0
-        episode = Episode(uuid, origin["piece"], _observation(foreign), offset, onset_s,
+        episode = core.Episode(uuid, origin["piece"], _observation(foreign), offset, onset_s,
                           foreign.quality, recording, pairs)  # fmt: skip
         has_frames = recording is not None and bool(recording.frames)
         self._dataset.record(
@@ -429,7 +424,7 @@ class EpisodeImport:
 
     def _own_pair(self) -> str:
         if self._options.piece is None or self._options.bottom is None:
-            raise InputError(
+            raise core.InputError(
                 "The file does not say which pieces touched.",
                 str(self._source),
                 "Name them with --piece and --bottom.",
@@ -443,7 +438,7 @@ class EpisodeImport:
         for name in self._manifest["geometry"] if self._manifest else ():
             path = self._dataset.geometry.folder / f"{name}.json"
             if not path.exists():
-                write_atomically(path, (self._source / GEOMETRY / f"{name}.json").read_bytes())
+                core.write_atomically(path, (self._source / GEOMETRY / f"{name}.json").read_bytes())
         for named in self._named.values():
             self._dataset.geometry.pair(named["geometry"])
 
@@ -466,7 +461,7 @@ def _episodes_by_number(
     if manifest is None:
         return {}
     said, fix = "The manifest cannot be used", "Export it again."
-    with errors_as_input(said, source, fix, ValueError, KeyError, TypeError):
+    with core.errors_as_input(said, source, fix, ValueError, KeyError, TypeError):
         if manifest["format"] != kind:
             raise ValueError(f"it is an export to {manifest['format']}, not {kind}")
         named = {int(e["export_index"]): e for e in manifest["episodes"]}

@@ -24,28 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend import core
-from touchdown.backend.config import (
-    BenchIdentity,
-    SimulationSettings,
-    StackSettings,
-    bench_sha256,
-    parse_settings,
-)
+from touchdown.backend import config, core, geometry
 from touchdown.backend.experiments.strategies import uninformed_model
 from touchdown.backend.experiments.tables import PIECES, job_code
 from touchdown.backend.experiments.trials import FRESH, SceneSetup, stack_in_lockstep
-from touchdown.backend.geometry import (
-    FRESH_CLASSES,
-    Piece,
-    ShapeFamily,
-    Tower,
-    can_be_placed,
-    draw_start,
-    fresh_bottom,
-    load_pieces,
-    start_generator,
-)
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import use_one_thread
 from touchdown.backend.learning.fused import (
@@ -71,26 +53,30 @@ SEED_DIGITS = 10  # hexadecimal; beyond the seeds of every other experiment
 CONVEX = "convex"  # bottoms of a network that knows convex outlines only
 FAMILIES = {
     CONVEX: "convex outlines of 8 to 32 mm",
-    FRESH: f"outlines of 14 to 30 mm of the classes {', '.join(FRESH_CLASSES)}",
+    FRESH: f"outlines of 14 to 30 mm of the classes {', '.join(geometry.FRESH_CLASSES)}",
 }
 REDRAW = 10**6  # between the numbers of two outlines of one scene, of the same class
 
 
-def fresh_scene(piece: Piece, seed: int, bench: SimulationSettings, outlines: str) -> Scene:
+def fresh_scene(
+    piece: geometry.Piece, seed: int, bench: config.SimulationSettings, outlines: str
+) -> Scene:
     """Return the scene of one seed: an outline of ``FAMILIES``, and an unstable start over it."""
-    family = ShapeFamily.of(load_pieces())
+    family = geometry.ShapeFamily.of(geometry.load_pieces())
     for redraw in count():
         if outlines == CONVEX:
             rng = np.random.default_rng([seed, redraw])
             body = family.bottom(rng, free=True)
         else:
-            body = fresh_bottom(f"{seed:x}", seed % len(FRESH_CLASSES) + redraw * REDRAW).body()
-        tower = Tower((body,))
-        if can_be_placed(piece, tower):
+            body = geometry.fresh_bottom(
+                f"{seed:x}", seed % len(geometry.FRESH_CLASSES) + redraw * REDRAW
+            ).body()
+        tower = geometry.Tower((body,))
+        if geometry.can_be_placed(piece, tower):
             # The piece may stand wherever the faces overlap.
             with suppress(core.InputError):
-                start = draw_start(
-                    start_generator(seed, piece.name, body.name), piece.body(), tower
+                start = geometry.draw_start(
+                    geometry.start_generator(seed, piece.name, body.name), piece.body(), tower
                 )
                 return Scene(piece, tower, start, seed, bench)
     raise AssertionError
@@ -103,7 +89,7 @@ class Certification:
     ``weights``: checkpoint of the network; ``name``: of the bench.
     """
 
-    bench: SimulationSettings
+    bench: config.SimulationSettings
     name: str
     weights: Path
     risks: tuple[float, ...]
@@ -115,12 +101,14 @@ class Certification:
         """Family of the bottoms: the test outlines, or convex ones where others are refused."""
         return FRESH if load_fused(self.weights).card.outlines == "any" else CONVEX
 
-    def method(self, risk: float | None = None) -> StackSettings:
+    def method(self, risk: float | None = None) -> config.StackSettings:
         """Return the method with the network, at the risk of a level."""
         fused: dict[str, object] = {"weights": str(self.weights)}
         if risk is not None:
             fused["risk"] = risk
-        return parse_settings(StackSettings, {"strategy": "fused", "fused": fused}, "--level")
+        return config.parse_settings(
+            config.StackSettings, {"strategy": "fused", "fused": fused}, "--level"
+        )
 
     def begin(self, log: AttemptLog) -> Attempt:
         """Write the attempt to its log, or continue the open one; raises ``InputError``."""
@@ -128,7 +116,7 @@ class Certification:
         planned = Attempt(
             number=number,
             bench=self.name,
-            bench_sha256=bench_sha256(self.bench),
+            bench_sha256=config.bench_sha256(self.bench),
             weights_sha256=load_fused(self.weights).card.weights_sha256,
             method_sha256=method_sha256(self.method()),
             family=FAMILIES[self.outlines],
@@ -196,9 +184,9 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Run one trial per seed; every trial counts."""
     p = spec.params
     use_one_thread()
-    piece = load_pieces().top(p["piece"])
-    bench = parse_settings(SimulationSettings, p["bench"], "job")
-    method = parse_settings(StackSettings, p["method"], "job")
+    piece = geometry.load_pieces().top(p["piece"])
+    bench = config.parse_settings(config.SimulationSettings, p["bench"], "job")
+    method = config.parse_settings(config.StackSettings, p["method"], "job")
     if load_fused(Path(method.fused.weights)).card.weights_sha256 != p["fused_sha256"]:
         raise core.InputError(
             "The network changed since the attempt began.",
@@ -212,7 +200,7 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     # A release over a bottom that a press toppled is unsafe, whatever became of the piece.
     ends = [(end, bool(end.steps) and end.steps[-1].action.kind == "release") for end in results]
     trials = [{**end.as_json(), "released": released} for end, released in ends]
-    return {"bench_sha256": bench_sha256(bench), "trials": trials}
+    return {"bench_sha256": config.bench_sha256(bench), "trials": trials}
 
 
 LABORATORY_LIMIT = 0.05  # default bound of a certificate of a laboratory's own trials
@@ -287,7 +275,7 @@ class LaboratoryRisk:
 
 
 def certify_laboratory(
-    trials: Sequence[LabelledTrial], bench: BenchIdentity, limit: float = LABORATORY_LIMIT
+    trials: Sequence[LabelledTrial], bench: config.BenchIdentity, limit: float = LABORATORY_LIMIT
 ) -> LaboratoryRisk:
     """Bound the unsafe releases on a laboratory's bench from its own trials.
 

@@ -12,6 +12,7 @@ from itertools import combinations, zip_longest
 from typing import Any
 
 from touchdown.backend.config import SimulationSettings, StackSettings, bench_sha256
+from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.document import ReportTable, format_estimate, format_percent
 from touchdown.backend.experiments.statistics import (
     VerdictCounts,
@@ -20,13 +21,6 @@ from touchdown.backend.experiments.statistics import (
     iou_change,
 )
 from touchdown.backend.experiments.strategies import count_outcomes, network_params
-from touchdown.backend.experiments.tables import (
-    CELL_SEEDS,
-    PIECES,
-    TABLE_BOTTOMS,
-    job_code,
-    score_verdicts,
-)
 from touchdown.backend.jobs import JobSpec, JobStore
 
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
@@ -49,7 +43,7 @@ def press_scores(parts: Sequence[JsonMapping], model: str) -> Json:
     for n in ("1", "2", "3"):
         binary, left_out = VerdictCounts(0, 0, 0, 0), 0
         for part, score in zip(parts, scores, strict=True):
-            counts, close = score_verdicts(score["says"][n], part["margin_mm"], interface=1)
+            counts, close = tables.score_verdicts(score["says"][n], part["margin_mm"], interface=1)
             binary, left_out = binary + counts, left_out + close
         figures[f"stable_{n}"] = {**binary.as_json(), "too_close": left_out}
     figures["slipped"] = estimate_mean([part["slipped"] for part in parts]).value
@@ -97,7 +91,9 @@ class DomainShift:
         params: Json = {"bench": dumped, "piece": self.piece, "bottom": bottom}
         if world != BENCH:
             params["world"] = world
-        cell = CELL_SEEDS * (10 * PIECES.index(self.piece) + TABLE_BOTTOMS.index(bottom))
+        cell = tables.CELL_SEEDS * (
+            10 * tables.PIECES.index(self.piece) + tables.TABLE_BOTTOMS.index(bottom)
+        )
         if not strategy:
             kind, first, total, size = "static", PRESSES_SEED, self.groups, GROUPS_PER_JOB
             count, inputs = "groups", tuple(sorted(set(self.models.values())))
@@ -108,7 +104,7 @@ class DomainShift:
             count, inputs, method = "trials", (given,), StackSettings()
             params |= {"strategy": strategy, "method": method.model_dump(mode="json")}
             params |= network_params(strategy, method)
-        code = job_code(kind, self.code)
+        code = tables.job_code(kind, self.code)
         for k in range(0, total, size):
             own = {**params, count: min(size, total - k)}
             yield JobSpec(kind, own, first + cell + self.first + k, inputs, code)

@@ -20,13 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import geometry
-from touchdown.backend.config import (
-    SimulationSettings,
-    SurfaceSettings,
-    bench_sha256,
-    parse_settings,
-)
+from touchdown.backend import config, geometry
 from touchdown.backend.core import (
     CHANNELS,
     TACTILE_CHANNELS,
@@ -69,9 +63,9 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     ``surface``: shares of faces that are not flat, with pieces of any height of the centre of mass.
     """
     p, catalogue = spec.params, geometry.load_pieces()
-    settings = parse_settings(SimulationSettings, p["bench"], "job")
+    settings = config.parse_settings(config.SimulationSettings, p["bench"], "job")
     if "surface" in p:
-        uneven = SurfaceSettings.model_validate(p["surface"])
+        uneven = config.SurfaceSettings.model_validate(p["surface"])
         settings = settings.model_copy(update={"surface": uneven})
     use_one_thread()
     kinds = p.get("outlines", "convex")
@@ -96,7 +90,7 @@ def probe_sequences(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     np.savez(place.folder / DATA, **joined)  # type: ignore[arg-type]
     return {
-        "bench_sha256": bench_sha256(settings),
+        "bench_sha256": config.bench_sha256(settings),
         "sequences": len(joined["count"]),
         "probes": int(joined["count"].sum()),
     }
@@ -310,7 +304,7 @@ class FusionRecipe:
     sequences. ``tuning``: of ``adopt_tuning``; each training then starts from a network.
     """
 
-    bench: SimulationSettings
+    bench: config.SimulationSettings
     code: str
     counts: Mapping[str, int] = field(default_factory=lambda: COUNTS)
     steps: int = 6000
@@ -336,7 +330,7 @@ class FusionRecipe:
         if not self.steps:
             return parts
         facts = {
-            "bench_sha256": bench_sha256(self.bench),
+            "bench_sha256": config.bench_sha256(self.bench),
             "steps": self.steps,
             "free": len(portions.get("free", ())),
             "counts": [len(some) for some in portions.values() if some],
@@ -379,7 +373,7 @@ class FusionRecipe:
 
 def ready_sequences(
     store: JobStore,
-    bench: SimulationSettings,
+    bench: config.SimulationSettings,
     outlines: geometry.OutlineKinds,
     ranges: Mapping[str, Sequence[float]] | None = None,
 ) -> dict[str, list[JobSpec]]:

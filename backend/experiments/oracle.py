@@ -16,6 +16,7 @@ from math import erf
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import geometry, placement, simulation
 from touchdown.backend.config import ProbeSettings, SimulationSettings
 from touchdown.backend.core import (
     TACTILE_CHANNELS,
@@ -25,48 +26,6 @@ from touchdown.backend.core import (
     Stability,
     SupportKind,
 )
-from touchdown.backend.geometry import (
-    Piece,
-    Tower,
-    contact_margins_mm,
-    draw_offset,
-    face_points,
-    inset_mm,
-)
-from touchdown.backend.placement import (
-    XY,
-    PlaceDecision,
-    ProbeObservation,
-    ShiftTarget,
-    describe_situation,
-    give_up,
-    shift_towards,
-)
-from touchdown.backend.simulation import (
-    DAY_SCORES,
-    DAY_SPREADS,
-    RESIDUAL_LIMIT,
-    SEAT_SCORES,
-    SEAT_SPREADS,
-    Conditions,
-    GraspHistory,
-    GripDraw,
-    MountingDraw,
-    ProbeDraw,
-    SensorNoise,
-    SupportStack,
-    begin_probes,
-    conditions_from_draws,
-    day_draw,
-    draw_noise,
-    gel_from_settings,
-    join_support_stacks,
-    observe_presses,
-    onset_rule,
-    press_with_noise,
-    seat_draw,
-    support_stack,
-)
 
 _Point = tuple[float, float]
 SHIFT_X, SHIFT_Y, TILT_X, TILT_Y, STIFFNESS, GEL, MU_GRIP, GRIP, GRASP_X, GRASP_Z = range(10)
@@ -74,16 +33,16 @@ YAW, GAIN_LEFT, GAIN_RIGHT, MU = range(10, 14)
 COLUMNS = 15  # the last one is not read; it keeps the random draws
 NORMAL = slice(TILT_X, COLUMNS)  # columns that are standard normal before any probe
 # More columns on a bench that draws piece, wrist sensor and grasp of each probe (bench-v2).
-DAY = slice(COLUMNS, COLUMNS + DAY_SCORES)
-SEAT = slice(DAY.stop, DAY.stop + SEAT_SCORES)
+DAY = slice(COLUMNS, COLUMNS + simulation.DAY_SCORES)
+SEAT = slice(DAY.stop, DAY.stop + simulation.SEAT_SCORES)
 
 
 @dataclass(frozen=True, slots=True)
 class OracleSetting:
     """Knowledge of the oracle about a trial: bench, piece and bottom."""
 
-    piece: Piece
-    bottom: Piece
+    piece: geometry.Piece
+    bottom: geometry.Piece
     settings: SimulationSettings
     probe: ProbeSettings = field(default_factory=ProbeSettings)
 
@@ -98,7 +57,7 @@ class HypothesisEnsemble:
     """
 
     value: FloatArray
-    carried: GraspHistory
+    carried: simulation.GraspHistory
 
     @property
     def count(self) -> int:
@@ -126,9 +85,9 @@ def draw_hypotheses(
     value = np.zeros((count, SEAT.stop if _draws_more(setting.settings) else COLUMNS))
     value[:, NORMAL] = rng.standard_normal((count, COLUMNS - TILT_X))
     value[:, COLUMNS:] = rng.spawn(1)[0].standard_normal((count, value.shape[1] - COLUMNS))
-    places = draw_offset(rng, setting.piece.face, setting.bottom.face, count)
+    places = geometry.draw_offset(rng, setting.piece.face, setting.bottom.face, count)
     value[:, :TILT_X] = places - np.asarray(at_mm)
-    return HypothesisEnsemble(value, GraspHistory.fresh(count))
+    return HypothesisEnsemble(value, simulation.GraspHistory.fresh(count))
 
 
 def predict_press(
@@ -144,13 +103,15 @@ def predict_press(
     outline = setting.bottom.face
     subcells = settings.face.subcells
     lattice = settings.face.lattice_mm / subcells
-    points = face_points(setting.piece.face, lattice)
-    state = begin_probes(points, outline, true, conditions, worlds.carried, lattice, subcells)
-    rule = onset_rule(settings, setting.probe)
+    points = geometry.face_points(setting.piece.face, lattice)
+    state = simulation.begin_probes(
+        points, outline, true, conditions, worlds.carried, lattice, subcells
+    )
+    rule = simulation.onset_rule(settings, setting.probe)
     still = _errorless(settings)
     noise = [_noise(settings, still, setting.probe, rng) for _ in range(worlds.count)]
     state = state.on(_stand(setting, value), splits=0)
-    pressed = press_with_noise(state, noise, settings, setting.probe, rule)
+    pressed = simulation.press_with_noise(state, noise, settings, setting.probe, rule)
     moved = value.copy()
     slip = (pressed.state.slip - worlds.carried.slip)[:, :, 0].mean(axis=1)
     moved[:, SHIFT_X] += slip
@@ -159,32 +120,41 @@ def predict_press(
     moved[:, MU] = rng.standard_normal(worlds.count)
     moved[:, :TILT_X] += settings.spread.label_error_mm * rng.standard_normal((worlds.count, 2))
     if _draws_more(settings):
-        moved[:, SEAT] = rng.standard_normal((worlds.count, SEAT_SCORES))
+        moved[:, SEAT] = rng.standard_normal((worlds.count, simulation.SEAT_SCORES))
         moved[:, SHIFT_X] += _seat_shift_mm(setting, value) - _seat_shift_mm(setting, moved)
-    after = HypothesisEnsemble(moved, GraspHistory(pressed.state.slip, pressed.state.relaxed))
-    seen = observe_presses(pressed, conditions, still, noise, gel_from_settings(settings))
+    after = HypothesisEnsemble(
+        moved, simulation.GraspHistory(pressed.state.slip, pressed.state.relaxed)
+    )
+    seen = simulation.observe_presses(
+        pressed, conditions, still, noise, simulation.gel_from_settings(settings)
+    )
     return PredictedPress(
-        seen, after, pressed.detected & (pressed.state.residual <= RESIDUAL_LIMIT)
+        seen, after, pressed.detected & (pressed.state.residual <= simulation.RESIDUAL_LIMIT)
     )
 
 
 def _draws_more(settings: SimulationSettings) -> bool:
-    return any(getattr(settings.spread, name) for name in (*DAY_SPREADS, *SEAT_SPREADS))
+    return any(
+        getattr(settings.spread, name)
+        for name in (*simulation.DAY_SPREADS, *simulation.SEAT_SPREADS)
+    )
 
 
 def _seat_shift_mm(setting: OracleSetting, value: FloatArray) -> FloatArray:
     """Return by how much the grasp of this probe moves the face along -x (n,)."""
     spread, height_mm = setting.settings.spread, setting.piece.grip_height_mm or 0.0
-    seats = [seat_draw(spread, z) for z in value[:, SEAT]]
+    seats = [simulation.seat_draw(spread, z) for z in value[:, SEAT]]
     return np.array([seat["reseat_mm"][0] + height_mm * seat["pitch_rad"] for seat in seats])
 
 
-def _stand(setting: OracleSetting, value: FloatArray) -> SupportStack | None:
-    stand = support_stack(Tower((setting.bottom.body(),)), setting.settings.support)
-    return None if stand is None else join_support_stacks([stand] * len(value))
+def _stand(setting: OracleSetting, value: FloatArray) -> simulation.SupportStack | None:
+    stand = simulation.support_stack(
+        geometry.Tower((setting.bottom.body(),)), setting.settings.support
+    )
+    return None if stand is None else simulation.join_support_stacks([stand] * len(value))
 
 
-def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
+def _conditions(setting: OracleSetting, value: FloatArray) -> simulation.Conditions:
     settings, spread = setting.settings, setting.settings.spread
     more = _draws_more(settings)
     draws = []
@@ -194,13 +164,13 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
         if settings.face.foundation_range_n_mm3 is not None:
             low, high = np.log(settings.face.foundation_range_n_mm3)
             foundation = float(np.exp(low + (high - low) * _share(v[[STIFFNESS]])[0]))
-        mounting = MountingDraw((float(tilt[0]), float(tilt[1])), (0.0, 0.0), foundation)
+        mounting = simulation.MountingDraw((float(tilt[0]), float(tilt[1])), (0.0, 0.0), foundation)
         if more:
-            mounting = replace(mounting, **day_draw(spread, v[DAY]))
+            mounting = replace(mounting, **simulation.day_draw(spread, v[DAY]))
         grasp = np.clip(spread.grasp_offset_mm * v[[GRASP_X, GRASP_Z]], -2.0, 2.0)
         gain = np.clip(1.0 + spread.gain * v[[GAIN_LEFT, GAIN_RIGHT]], 0.8, 1.2)
         grip_n = setting.probe.grip_force_n + spread.grip_force_n * v[GRIP]
-        gripping = GripDraw(
+        gripping = simulation.GripDraw(
             gel_factor=float(np.clip(1.0 + spread.gel * v[GEL], 0.7, 1.3)),
             mu_grip=float(np.clip(settings.mu_grip * (1 + spread.mu_grip * v[MU_GRIP]), 0.35, 1.1)),
             grip_force_n=float(np.clip(grip_n, 4.0, 15.0)),
@@ -209,13 +179,15 @@ def _conditions(setting: OracleSetting, value: FloatArray) -> Conditions:
             gain=(float(gain[0]), float(gain[1])),
         )
         mu = float(np.clip(settings.mu * (1.0 + spread.mu * v[MU]), 0.2, 0.6))
-        probe = ProbeDraw(mu, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
+        probe = simulation.ProbeDraw(mu, (0.0, 0.0), np.zeros((2, 2)), np.zeros(6))
         if more:
-            probe = replace(probe, **seat_draw(spread, v[SEAT]))
+            probe = replace(probe, **simulation.seat_draw(spread, v[SEAT]))
         draws.append((mounting, gripping, probe))
     height = setting.piece.grip_height_mm
     assert height is not None
-    return conditions_from_draws(settings, setting.probe, height, setting.piece.width_mm, draws)
+    return simulation.conditions_from_draws(
+        settings, setting.probe, height, setting.piece.width_mm, draws
+    )
 
 
 def _share(score: FloatArray) -> FloatArray:
@@ -241,9 +213,9 @@ def _noise(
     still: SimulationSettings,
     probe: ProbeSettings,
     rng: np.random.Generator,
-) -> SensorNoise:
+) -> simulation.SensorNoise:
     """Return sensor noise that only changes the moment of contact detection."""
-    quiet = draw_noise(still, onset_rule(settings, probe), rng)
+    quiet = simulation.draw_noise(still, simulation.onset_rule(settings, probe), rng)
     force_n = settings.wrist.white_n * rng.standard_normal(len(quiet.force_n))
     return replace(quiet, force_n=force_n)
 
@@ -267,14 +239,14 @@ class OracleStrategy:
     It does not know the place of the bottom or any nuisance value.
     """
 
-    def __init__(self, setting: OracleSetting, origin_mm: XY, seed: int) -> None:
+    def __init__(self, setting: OracleSetting, origin_mm: placement.XY, seed: int) -> None:
         self._setting, self._origin = setting, origin_mm
         self._rng = np.random.default_rng([seed, 991])
         self._signals = SignalFeatures(setting)
         self.worlds = draw_hypotheses(setting, origin_mm, ENSEMBLE_SIZE, self._rng)
         self._probes = 0
 
-    def conclude(self, touched: ProbeObservation) -> PlaceDecision:
+    def conclude(self, touched: placement.ProbeObservation) -> placement.PlaceDecision:
         """Assimilate the probe, judge by the risk, and step towards the middle of the support."""
         here = touched.offset_mm
         self._assimilate(touched)
@@ -289,29 +261,33 @@ class OracleStrategy:
             here,
             "belief",
         )
-        return PlaceDecision(self._map(), stability, self._choose(stability, here, shift))
+        return placement.PlaceDecision(self._map(), stability, self._choose(stability, here, shift))
 
-    def _at_risk_mm(self, here: XY) -> float:
+    def _at_risk_mm(self, here: placement.XY) -> float:
         margin = self.margins_mm(here)
         # The opening fingers shift the piece by a distance that no probe shows.
         sd = np.hypot(margin.std(), self._setting.settings.release_disturbance_mm)
         return float(margin.mean() - RISK_SD * sd)
 
-    def margins_mm(self, here: XY) -> FloatArray:
+    def margins_mm(self, here: placement.XY) -> FloatArray:
         """Return the stability margin at the commanded place in each hypothesis (n,)."""
         setting, value = self._setting, self.worlds.value
         true = value[:, :TILT_X] + np.asarray(here) + np.asarray(setting.piece.com_xy_mm)
         if setting.settings.spread.com_mm:
             # The entered centre of mass is wrong, and no probe tells by how much.
-            true += [day_draw(setting.settings.spread, z)["com_mm"] for z in value[:, DAY]]
+            true += [
+                simulation.day_draw(setting.settings.spread, z)["com_mm"] for z in value[:, DAY]
+            ]
         share = setting.piece.mass_g / (setting.piece.mass_g + setting.bottom.mass_g)
         piece, face = setting.piece, setting.bottom.face
-        own = inset_mm(face, share * true)
+        own = geometry.inset_mm(face, share * true)
         if "region" in (face.kind, piece.face.kind):
-            return np.minimum(contact_margins_mm(piece.face, piece.com_xy_mm, face, true), own)
-        return np.minimum(inset_mm(face, true), own)
+            return np.minimum(
+                geometry.contact_margins_mm(piece.face, piece.com_xy_mm, face, true), own
+            )
+        return np.minimum(geometry.inset_mm(face, true), own)
 
-    def _assimilate(self, touched: ProbeObservation) -> None:
+    def _assimilate(self, touched: placement.ProbeObservation) -> None:
         seen = self._signals.of(touched.observation[None])[0]
         prior = self.worlds
         for factor in NEXT_STEPS if self._probes else FIRST_STEPS:
@@ -325,16 +301,20 @@ class OracleStrategy:
         # The motion of the piece by the press is added at the end.
         self.worlds = HypothesisEnsemble(prior.value + drift, after)
 
-    def _choose(self, stability: Stability, here: XY, shift: FloatArray) -> PlaceAction:
-        situation = describe_situation(stability)
+    def _choose(self, stability: Stability, here: placement.XY, shift: FloatArray) -> PlaceAction:
+        situation = placement.describe_situation(stability)
         if stability.stable:
             return PlaceAction("release", (0.0, 0.0), None, False, f"{situation}: release.")
         if self._probes >= MAX_PROBES:
-            return give_up(f"{situation} after {self._probes} probes, the most allowed: giving up.")
+            return placement.give_up(
+                f"{situation} after {self._probes} probes, the most allowed: giving up."
+            )
         target = -float(shift[0]), -float(shift[1])
         if np.hypot(target[0] - here[0], target[1] - here[1]) < NEAREST_MM:
             return PlaceAction("shift", (0.0, 0.0), target, False, f"{situation}: probing again.")
-        return shift_towards(stability, ShiftTarget(target, ""), here, LONGEST_MM, 0.0)
+        return placement.shift_towards(
+            stability, placement.ShiftTarget(target, ""), here, LONGEST_MM, 0.0
+        )
 
     def _map(self) -> BeliefMap:
         """Return the share of hypotheses that support each cell, in commanded places."""
@@ -359,7 +339,7 @@ class SignalFeatures:
     """
 
     def __init__(self, setting: OracleSetting) -> None:
-        gel = gel_from_settings(setting.settings)
+        gel = simulation.gel_from_settings(setting.settings)
         self._fits = [_fit(gel.map[finger]) for finger in range(2)]
         tactile, wrist = setting.settings.tactile, setting.settings.wrist
         ticks = len(TICKS)

@@ -18,12 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend.config import (
-    BeliefSettings,
-    SimulationSettings,
-    StabilitySettings,
-    bench_sha256,
-)
+from touchdown.backend import config
 from touchdown.backend.core import ContactPatch, FloatArray
 from touchdown.backend.experiments.statistics import reliability_curve
 from touchdown.backend.experiments.trials import (
@@ -90,7 +85,7 @@ class ProbeGroups:
         flat = self.observation.reshape(g * p, *self.observation.shape[2:])
         return model.predict(flat).reshape(g, p, -1)
 
-    def as_json(self, bench: SimulationSettings, judged: int = 1) -> dict[str, Any]:
+    def as_json(self, bench: config.SimulationSettings, judged: int = 1) -> dict[str, Any]:
         """Return margins, slip and counts; a margin without support is None.
 
         ``judged``: number of probes of a group that are judged; with several the margins are those
@@ -99,7 +94,7 @@ class ProbeGroups:
         margins = self.margins_mm[:, :judged].swapaxes(0, 1).reshape(-1, 2)
         several = {"mounting": np.tile(self.mounting, judged).tolist()} if judged > 1 else {}
         return {
-            "bench_sha256": bench_sha256(bench),
+            "bench_sha256": config.bench_sha256(bench),
             **several,
             "margin_mm": [rounded_margins(pair) for pair in margins],
             "slipped": float((self.slip_mm > SLIPPED_MM).mean()),
@@ -251,20 +246,20 @@ def score_fused_verdicts(
     verdicts: dict[str, dict[str, list[bool]]] = {
         name: {str(n): [] for n in ns} for name in ("says", "even", "calibrated")
     }
-    even, com = StabilitySettings(delta=CONTACT_LEVEL), case.piece.com_xy_mm
+    even, com = config.StabilitySettings(delta=CONTACT_LEVEL), case.piece.com_xy_mm
     promised, real = [], []
     iou: list[float] = []
     turned = [(groups.rotated(k), np.roll(probability, -k, 1)) for k in range(judged)]
     for some, predicted, g in ((a, b, g) for a, b in turned for g in range(len(b))):
         first = pair_of(some.offset_mm[g, 0])
-        belief = Belief.unknown(BeliefSettings(), first, model.base_rate)
-        other = Belief.unknown(BeliefSettings(), first, model.base_rate, model.calibration)
+        belief = Belief.unknown(config.BeliefSettings(), first, model.base_rate)
+        other = Belief.unknown(config.BeliefSettings(), first, model.base_rate, model.calibration)
         for k, p in enumerate(predicted[g]):
             patch = ContactPatch(model.points_mm.copy(), p.copy())
             belief = belief.updated(patch, pair_of(some.offset_mm[g, k]))
             other = other.updated(patch, pair_of(some.offset_mm[g, k]))
             if k + 1 in ns:
-                judged_by = {"says": (belief, StabilitySettings()), "even": (belief, even)}
+                judged_by = {"says": (belief, config.StabilitySettings()), "even": (belief, even)}
                 judged_by["calibrated"] = (other, even)
                 for name, (source, rules) in judged_by.items():
                     stable = judge_stability(source, patch, com, first, rules).stable

@@ -22,28 +22,13 @@ from typing import Any, get_args
 
 import numpy as np
 
+from touchdown.backend import config, geometry
 from touchdown.backend.calibration import PoseReadings, WeighedPiece, estimate_held_piece
-from touchdown.backend.config import (
-    SimulationSettings,
-    StackSettings,
-    StrategyName,
-    TowerSettings,
-    bench_sha256,
-    parse_settings,
-)
 from touchdown.backend.core import Outcome, Pose, pose_rotation
+from touchdown.backend.experiments import tables
 from touchdown.backend.experiments.models import batch_model, load_model
 from touchdown.backend.experiments.oracle import OracleSetting, OracleStrategy
 from touchdown.backend.experiments.statistics import IntervalEstimate, estimate_rate
-from touchdown.backend.experiments.tables import (
-    BEYOND_FORMAT,
-    CELL_SEEDS,
-    PIECES,
-    STACKING_SEED,
-    UNSAFE_OUTCOMES,
-    job_code,
-    provenance,
-)
 from touchdown.backend.experiments.trials import (
     FRESH,
     FRESH_TRIAL_SEED,
@@ -57,15 +42,6 @@ from touchdown.backend.experiments.trials import (
     pick_and_place_in_lockstep,
     stack_in_lockstep,
     start_scene,
-)
-from touchdown.backend.geometry import (
-    FRESH_CLASSES,
-    FRESH_SEED,
-    UNTRAINED_CLASSES,
-    Tower,
-    face_points,
-    inset_mm,
-    judge_tower,
 )
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import use_one_thread
@@ -93,10 +69,10 @@ TOWERS = ("short+long", "short+hex20", "short+rect12x28")
 BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS, FRESH)
 TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
 CEILING = "ceiling"  # the oracle, which knows bench and outline
-STRATEGIES: tuple[str, ...] = (*get_args(StrategyName), CEILING)
+STRATEGIES: tuple[str, ...] = (*get_args(config.StrategyName), CEILING)
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
-COMPARED_PIECES = (*PIECES, "brick")  # the last one is heavy enough to be weighed
+COMPARED_PIECES = (*tables.PIECES, "brick")  # the last one is heavy enough to be weighed
 ENTRY_STREAM = 992  # random stream of the entry errors, separate from the bench
 ENTRY_SIGMA_MM = 1.0  # error of the simulated operator who measures the place of the upper bottom
 EXACT_MM, GRID_MM = 1e-6, 0.25
@@ -116,15 +92,15 @@ class ClosedLoopComparison:
     the fresh outlines.
     """
 
-    bench: SimulationSettings
+    bench: config.SimulationSettings
     code: str
     models: Mapping[str, str]
     pieces: tuple[str, ...] = ("pot",)
     bottoms: tuple[str, ...] = ("short", "long")
     strategies: tuple[str, ...] = ("paper", "fused", "ceiling")
     trials: int = 50
-    method: StackSettings = field(default_factory=StackSettings)
-    outline_seed: str = FRESH_SEED
+    method: config.StackSettings = field(default_factory=config.StackSettings)
+    outline_seed: str = geometry.FRESH_SEED
 
     def jobs(self) -> list[JobSpec]:
         """Return the jobs of the trials; the first trials of every cell come first."""
@@ -147,10 +123,10 @@ class ClosedLoopComparison:
         cells = _finished(self.jobs(), store)
         trials = {cell: _trials(done) for cell, (_, done) in cells.items()}
         return {
-            "format": BEYOND_FORMAT,
-            "bench_sha256": bench_sha256(self.bench),
+            "format": tables.BEYOND_FORMAT,
+            "bench_sha256": config.bench_sha256(self.bench),
             "code": self.code,
-            **provenance(self.jobs(), store),
+            **tables.provenance(self.jobs(), store),
             "models": dict(self.models),
             "cells": [
                 {
@@ -173,18 +149,18 @@ class ClosedLoopComparison:
     @staticmethod
     def first_trial(spec: JobSpec) -> int:
         """Return the number of the first trial of a job in its cell, from 0."""
-        return (spec.seed - STACKING_SEED) % CELL_SEEDS
+        return (spec.seed - tables.STACKING_SEED) % tables.CELL_SEEDS
 
     def _loop(self, piece: str, bottom: str, strategy: str, first: int) -> JobSpec:
         params: Json = {"trials": min(_chunk(bottom), self.trials - first)}
         if bottom == FRESH:
-            seed = FRESH_TRIAL_SEED + CELL_SEEDS * COMPARED_PIECES.index(piece) + first
+            seed = FRESH_TRIAL_SEED + tables.CELL_SEEDS * COMPARED_PIECES.index(piece) + first
             params["outline_seed"] = self.outline_seed
         else:
             touched = SINGLE_BOTTOMS.index(bottom.split("+")[-1])
             cell = 10 * COMPARED_PIECES.index(piece) + touched
             cell += TOWER_CELLS * (bottom in TOWERS)
-            seed = STACKING_SEED + CELL_SEEDS * cell + first
+            seed = tables.STACKING_SEED + tables.CELL_SEEDS * cell + first
         return self._job("beyond", (strategy, piece, bottom), seed, params)
 
     def _job(self, kind: str, cell: Cell, seed: int, params: Json) -> JobSpec:
@@ -196,7 +172,9 @@ class ClosedLoopComparison:
             **dict(zip(CELL_KEYS, cell, strict=True)),
             **network_params(strategy, self.method),
         }
-        return JobSpec(kind, params, seed, (source,) if source else (), job_code(kind, self.code))
+        return JobSpec(
+            kind, params, seed, (source,) if source else (), tables.job_code(kind, self.code)
+        )
 
 
 def _finished(jobs: Iterable[JobSpec], store: JobStore) -> dict[Cell, tuple[Json, dict[int, Json]]]:
@@ -220,7 +198,7 @@ def base_strategy(name: str) -> str:
     return name.partition(":")[0]
 
 
-def method_of(name: str, method: StackSettings) -> StackSettings:
+def method_of(name: str, method: config.StackSettings) -> config.StackSettings:
     """Return ``method`` with the strategy and the settings of a name, as ``fused:fused.risk=0.05``
     or ``fused:weigh=true``.
 
@@ -237,10 +215,10 @@ def method_of(name: str, method: StackSettings) -> StackSettings:
             value = text
         whole = {**dict(content.get(group) or {}), field_name: value} if field_name else value
         content[group] = whole
-    return parse_settings(StackSettings, content, name)
+    return config.parse_settings(config.StackSettings, content, name)
 
 
-def network_params(strategy: str, method: StackSettings) -> Json:
+def network_params(strategy: str, method: config.StackSettings) -> Json:
     """Return the job parameters that identify the network of ``strategy``."""
     if base_strategy(strategy) != "fused":
         return {}
@@ -261,7 +239,9 @@ def _pooled_groups(
             t for c, own in cells.items() if c[0] == strategy and c[2] in bottoms for t in own
         ]
         yield tower, {}, chosen
-    classes = {name: (name,) for name in FRESH_CLASSES} | {"never trained on": UNTRAINED_CLASSES}
+    classes = {name: (name,) for name in geometry.FRESH_CLASSES} | {
+        "never trained on": geometry.UNTRAINED_CLASSES
+    }
     for name, outlines in classes.items():
         yield FRESH, {"outline": name}, [t for t in chosen if t["outline"] in outlines]
     for kind in SURFACE_KINDS:
@@ -281,7 +261,7 @@ def count_outcomes(trials: Sequence[Mapping[str, Any]]) -> Json:
         "outcomes": {word: outcomes.count(word) for word in sorted(set(outcomes))},
         "placed": estimate_rate(len(placed), len(trials)).as_json(),
         "unsafe": estimate_rate(
-            sum(word in UNSAFE_OUTCOMES for word in outcomes), len(trials)
+            sum(word in tables.UNSAFE_OUTCOMES for word in outcomes), len(trials)
         ).as_json(),
         "unsafe_of_released": released_unsafely(Counter(outcomes)).as_json(),
         "probes": float(np.mean([t["probes"] for t in placed])) if placed else None,
@@ -311,13 +291,13 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     scenes = [scene for _, scene in pairs]
     results: list[BatchTrialResult] = []
     if p["strategy"] == "pick-and-place" and scenes:
-        method = parse_settings(StackSettings, p["method"], "job")
+        method = config.parse_settings(config.StackSettings, p["method"], "job")
         results = pick_and_place_in_lockstep(scenes, method, world)
     elif scenes:
         method, model, create = _strategy_of(spec, place, pairs)
         results = stack_in_lockstep(scenes, model, method, EpisodeLimits(), create, world)
     return {
-        "bench_sha256": bench_sha256(case.settings),
+        "bench_sha256": config.bench_sha256(case.settings),
         "left_out": p["trials"] - len(scenes),
         "trials": [
             {
@@ -332,10 +312,10 @@ def run_closed_loop(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
 def _strategy_of(
     spec: JobSpec, place: JobContext, pairs: Sequence[tuple[SceneSetup, Scene]]
-) -> tuple[StackSettings, BatchModel, Callable[[Scene, XY], Strategy]]:
+) -> tuple[config.StackSettings, BatchModel, Callable[[Scene, XY], Strategy]]:
     """Return method, model and factory of the strategy of a job, for scenes and their set-ups."""
     p, case = spec.params, pairs[0][0]
-    method, name = parse_settings(StackSettings, p["method"], "job"), p["strategy"]
+    method, name = config.parse_settings(config.StackSettings, p["method"], "job"), p["strategy"]
     if name == CEILING:
         return method, uninformed_model(case), oracle_factory(pairs)
     method, model = method_of(name, method), uninformed_model(case)
@@ -358,8 +338,8 @@ def least_probes(scene: Scene) -> int:
     for way in np.arange(0.0, length, 0.05):
         x, y = start - way * towards
         body = scene.piece.body((float(x), float(y)))
-        tower = Tower((*scene.bottoms.bodies, body))
-        if judge_tower(tower, sign_only=True).margin_mm >= SAFE_INSET_MM:
+        tower = geometry.Tower((*scene.bottoms.bodies, body))
+        if geometry.judge_tower(tower, sign_only=True).margin_mm >= SAFE_INSET_MM:
             return 1 + ceil(way / STEP_MM)
     return 1 + ceil(length / STEP_MM)
 
@@ -375,7 +355,7 @@ def _way_on_grid_mm(scene: Scene) -> float:
         steps = np.diff([body.at_mm for body in bodies], axis=0)
         offset_mm = tuple((float(x), float(y)) for x, y in steps)
         below = SupportTower(bodies, offset_mm, EXACT_MM, scene.piece.mass_g)
-        inset = np.minimum(inset_mm(scene.surface, com), below.insets_mm(com).min(axis=0))
+        inset = np.minimum(geometry.inset_mm(scene.surface, com), below.insets_mm(com).min(axis=0))
     else:
         inset = touched_margins_mm(scene, own_mm, com)
     places = com[inset >= SAFE_INSET_MM] - np.asarray(own_mm)
@@ -385,7 +365,7 @@ def _way_on_grid_mm(scene: Scene) -> float:
 
 
 def _informed_strategy(
-    case: SceneSetup, settings: StackSettings, model: BatchModel
+    case: SceneSetup, settings: config.StackSettings, model: BatchModel
 ) -> Callable[[Scene, XY], Strategy]:
     """Create strategies that know what an operator enters and what a weighing measures."""
 
@@ -396,7 +376,7 @@ def _informed_strategy(
             steps = np.diff([body.at_mm for body in scene.bottoms.bodies], axis=0)
             entered = steps + ENTRY_SIGMA_MM * rng.standard_normal(steps.shape)
             offset_mm = tuple((float(x), float(y)) for x, y in entered)
-            entry = TowerSettings(offset_mm=offset_mm, sigma_mm=ENTRY_SIGMA_MM)
+            entry = config.TowerSettings(offset_mm=offset_mm, sigma_mm=ENTRY_SIGMA_MM)
             below = SupportTower.entered(case.piece, case.bottoms, entry)
         held = grasped_piece_in(scene, model, below)
         if settings.weigh:
@@ -428,5 +408,5 @@ def oracle_factory(pairs: Iterable[tuple[SceneSetup, Scene]]) -> Callable[[Scene
 
 def uninformed_model(case: SceneSetup) -> BatchModel:
     """Return a model without predictions, for the oracle, which reads the signals."""
-    points = face_points(case.piece.face)
+    points = geometry.face_points(case.piece.face)
     return BatchModel(lambda seen: np.full((len(seen), len(points)), 0.5), points, None)

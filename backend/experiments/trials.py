@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import geometry
 from touchdown.backend.config import SimulationSettings, StackSettings, parse_settings
 from touchdown.backend.core import (
     BeliefMap,
@@ -25,22 +26,6 @@ from touchdown.backend.core import (
     Outcome,
     PlaceAction,
     Stability,
-)
-from touchdown.backend.geometry import (
-    Piece,
-    PieceLibrary,
-    Tower,
-    TowerVerdict,
-    can_be_placed,
-    draw_offset,
-    draw_start,
-    draw_tower,
-    fresh_bottom,
-    inset_mm,
-    judge_tower,
-    load_pieces,
-    start_generator,
-    with_true_com,
 )
 from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import (
@@ -80,27 +65,27 @@ WORLDS: dict[str, type[BatchedTrials]] = {
 class SceneSetup:
     """A piece over one bottom, or over a tower of bottoms (bottom-up), on a bench."""
 
-    piece: Piece
-    bottoms: tuple[Piece, ...]
+    piece: geometry.Piece
+    bottoms: tuple[geometry.Piece, ...]
     settings: SimulationSettings
 
     @classmethod
     def of(
         cls,
-        catalogue: PieceLibrary,
+        catalogue: geometry.PieceLibrary,
         piece: str,
         bottoms: tuple[str, ...],
         settings: SimulationSettings,
     ) -> SceneSetup:
         """Return the set-up of the named pieces; raises ``InputError``."""
-        top = with_true_com(catalogue.top(piece), 0)
+        top = geometry.with_true_com(catalogue.top(piece), 0)
         return cls(top, tuple(map(catalogue.bottom, bottoms)), settings)
 
     @classmethod
     def of_job(cls, params: Mapping[str, Any], *bottoms: str) -> SceneSetup:
         """Return the set-up of a job with ``piece`` and ``bench`` in its parameters."""
         bench = parse_settings(SimulationSettings, params["bench"], "job")
-        return cls.of(load_pieces(), params["piece"], bottoms, bench)
+        return cls.of(geometry.load_pieces(), params["piece"], bottoms, bench)
 
     @classmethod
     def of_trial(cls, params: Mapping[str, Any], seed: int) -> SceneSetup:
@@ -110,7 +95,7 @@ class SceneSetup:
         """
         if params["bottom"] != FRESH:
             return cls.of_job(params, *params["bottom"].split("+"))
-        bottom = fresh_bottom(params["outline_seed"], seed - FRESH_TRIAL_SEED)
+        bottom = geometry.fresh_bottom(params["outline_seed"], seed - FRESH_TRIAL_SEED)
         return replace(cls.of_job(params), bottoms=(bottom,))
 
 
@@ -119,11 +104,11 @@ def start_scene(case: SceneSetup, seed: int) -> Scene | None:
 
     The device loop builds the same scene from the same seed.
     """
-    rng = start_generator(seed, case.piece.name, *(bottom.name for bottom in case.bottoms))
-    tower = draw_tower(rng, case.bottoms)
-    if len(case.bottoms) > 1 and not can_be_placed(case.piece, tower):
+    rng = geometry.start_generator(seed, case.piece.name, *(bottom.name for bottom in case.bottoms))
+    tower = geometry.draw_tower(rng, case.bottoms)
+    if len(case.bottoms) > 1 and not geometry.can_be_placed(case.piece, tower):
         return None
-    start = draw_start(rng, case.piece.body(), tower)
+    start = geometry.draw_start(rng, case.piece.body(), tower)
     return Scene(case.piece, tower, start, seed, case.settings)
 
 
@@ -150,14 +135,18 @@ def best_margin_mm(scene: Scene) -> float:
     if not top.fixed:
         # The bottom must not tip either.
         load = piece.mass_g * com + top.mass_g * np.asarray(top.com_xy_mm)
-        margins = np.minimum(margins, inset_mm(top.lower, load / (piece.mass_g + top.mass_g)))
+        margins = np.minimum(
+            margins, geometry.inset_mm(top.lower, load / (piece.mass_g + top.mass_g))
+        )
     place = pair_of(com[margins.argmax()] - true_com)
     return round(true_margin_mm(scene, place, 0.0), 2)
 
 
 def probing_scene(case: SceneSetup, seed: int) -> Scene:
     """Return a scene for single presses, with its own mounting and gripping."""
-    return Scene(case.piece, Tower((case.bottoms[0].body(),)), (0.0, 0.0), seed, case.settings)
+    return Scene(
+        case.piece, geometry.Tower((case.bottoms[0].body(),)), (0.0, 0.0), seed, case.settings
+    )
 
 
 def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) -> FloatArray:
@@ -170,9 +159,9 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
     rng = displacement_rng(seed, 0, attempt)
     bottom = case.bottoms[0].body()
     for _ in range(100):
-        for offset in draw_offset(rng, case.piece.face, case.bottoms[0].face, 16):
+        for offset in geometry.draw_offset(rng, case.piece.face, case.bottoms[0].face, 16):
             body = case.piece.body(pair_of(offset))
-            if judge_tower(Tower((bottom, body))).stands is stable:
+            if geometry.judge_tower(geometry.Tower((bottom, body))).stands is stable:
                 return np.asarray(offset, dtype=np.float64)
     raise InputError(
         f"'{case.piece.name}' never {'stands' if stable else 'falls'} there.",
@@ -184,7 +173,7 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
 def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> FloatArray:
     """Return a random displacement (2,) with enough overlap."""
     rng = displacement_rng(seed, probe, attempt)
-    return np.asarray(draw_offset(rng, case.piece.face, case.bottoms[0].face, 1)[0])
+    return np.asarray(geometry.draw_offset(rng, case.piece.face, case.bottoms[0].face, 1)[0])
 
 
 def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator:
@@ -239,7 +228,7 @@ class BatchTrialResult:
     outcome: Outcome
     reason: str
     probes: int
-    verdict: TowerVerdict | None
+    verdict: geometry.TowerVerdict | None
     true_mm: XY | None
     steps: tuple[ProbeStep, ...] = field(default=(), repr=False)
     unsolved: int = 0
@@ -279,7 +268,9 @@ class _RunningTrial:
         self.unsolved += not truth.solved[k]
         self.toppled |= bool(truth.toppled[k])
 
-    def close(self, outcome: Outcome, reason: str, verdict: TowerVerdict | None = None) -> None:
+    def close(
+        self, outcome: Outcome, reason: str, verdict: geometry.TowerVerdict | None = None
+    ) -> None:
         if self.toppled:
             outcome, reason, verdict = Outcome.KNOCKED_OVER, f"{TOPPLED_REASON} {reason}", None
         steps = tuple(self.steps)

@@ -14,18 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from touchdown.backend import simulation
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, SimulationSettings
 from touchdown.backend.core import FloatArray
 from touchdown.backend.geometry import PieceLibrary, face_points
 from touchdown.backend.identification.recordings import STEP_S, STEPS, STEPS_PER_TICK, PressSet
-from touchdown.backend.simulation import (
-    RESIDUAL_LIMIT,
-    Conditions,
-    advance_probes,
-    begin_probes,
-    build_gel,
-    wrist_wrench,
-)
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "left x", "left z", "left turn",
             "right x", "right z", "right turn")  # fmt: skip
@@ -142,7 +135,7 @@ class PressModel:
         zero = np.zeros(count)
         shift = np.stack([v["grasp_x"] + v["print_x"], v["print_y"]], axis=1)
         conditions = self._conditions(top, rows, v)
-        state = begin_probes(
+        state = simulation.begin_probes(
             points, outline, self.presses.offset_mm[rows] - shift, conditions, None,
             face.lattice_mm / self._subcells, self._subcells,
         )  # fmt: skip
@@ -151,7 +144,7 @@ class PressModel:
         wrench = np.zeros((count, STEPS + 1, 6))
         strain = np.zeros((count, STEPS + 1, 2, 3))
         for step in range(STEPS):
-            state, solved = advance_probes(state, path[:, step], STEP_S)
+            state, solved = simulation.advance_probes(state, path[:, step], STEP_S)
             wrench[:, step + 1], strain[:, step + 1] = solved.wrench_g, solved.strain
         last = slice(STEPS_PER_TICK, None, STEPS_PER_TICK)
         mean = 0.25 * wrench[:, :-2:2] + 0.5 * wrench[:, 1:-1:2] + 0.25 * wrench[:, last]
@@ -159,16 +152,19 @@ class PressModel:
         scale = np.stack([v["scale_left"], v["scale_right"]], axis=1)
         amplitude = strain[:, last] * scale[:, None, :, None]
         result = np.concatenate(
-            [wrist_wrench(mean, wrist.height_mm, wrist.yaw_rad), amplitude.reshape(count, -1, 6)],
+            [
+                simulation.wrist_wrench(mean, wrist.height_mm, wrist.yaw_rad),
+                amplitude.reshape(count, -1, 6),
+            ],
             axis=2,
         )
         rate = np.gradient(result, TICK_S, axis=1)
         for name, own in LATE.items():
             result[..., own] -= v.get(name, zero)[:, None, None] * rate[..., own]
-        result[~(state.residual <= RESIDUAL_LIMIT)] = np.nan
+        result[~(state.residual <= simulation.RESIDUAL_LIMIT)] = np.nan
         return result
 
-    def _conditions(self, top: Any, rows: NDArray[np.intp], v: Values) -> Conditions:
+    def _conditions(self, top: Any, rows: NDArray[np.intp], v: Values) -> simulation.Conditions:
         nominal, grasp, count = self.nominal, self.nominal.grasp, len(rows)
         # Gripped area relative to that of the settings, as on the bench
         area = np.sqrt(top.width_mm / grasp.pad_width_mm) if grasp.pad_width_mm else 1.0
@@ -179,7 +175,7 @@ class PressModel:
         # Steps of this length are implicit: these values decay as the exact ones do, and give the
         # same force while the strain grows steadily.
         relax_s = STEP_S / np.expm1(STEP_S / v["relax_s"])
-        return Conditions(
+        return simulation.Conditions(
             shear_n_mm=shear,
             normal_n_mm=shear * v["normal_ratio"],
             torsion_nmm=shear * area * v["torsion_ratio"],
@@ -206,7 +202,7 @@ class PressModel:
 
 def field_basis(pitch_mm: float, roll_off_mm: tuple[float, float]) -> FloatArray:
     """Return (2, 4, 63, 2): field of each finger for x, z, turn and squeeze of amplitude 1."""
-    gel = build_gel((1.0, 1.0), pitch_mm, roll_off_mm, 1.0)
+    gel = simulation.build_gel((1.0, 1.0), pitch_mm, roll_off_mm, 1.0)
     return gel.map.reshape(2, 4, -1, 2)
 
 

@@ -20,14 +20,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from touchdown.backend.core import (
-    InputError,
-    TouchdownError,
-    errors_as_input,
-    parse_json,
-    sync_folder,
-    write_atomically,
-)
+from touchdown.backend import core
 
 ID_DIGITS = 32
 
@@ -58,7 +51,7 @@ class JobSpec:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the spec of a canonical text; raises ValueError or KeyError for anything else."""
-        facts = parse_json(text)
+        facts = core.parse_json(text)
         return cls(
             kind=str(facts["kind"]),
             params=dict(facts["params"]),
@@ -91,8 +84,8 @@ class JobStore:
         """Return the answer of a finished job; raises ``InputError`` naming a damaged file."""
         path = self.folder(job_id) / RESULT_FILE
         said, fix = "There is no readable result", "Delete the folder; run again."
-        with errors_as_input(said, path, fix, OSError, ValueError):
-            return dict(parse_json(path.read_bytes()))
+        with core.errors_as_input(said, path, fix, OSError, ValueError):
+            return dict(core.parse_json(path.read_bytes()))
 
     @contextmanager
     def writing(self, spec: JobSpec) -> Iterator[Path]:
@@ -104,7 +97,7 @@ class JobStore:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         try:
-            write_atomically(part / SPEC_FILE, spec.canonical().encode())
+            core.write_atomically(part / SPEC_FILE, spec.canonical().encode())
             yield part
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -116,16 +109,16 @@ class JobStore:
         """
         if not (part / SPEC_FILE).is_file():
             what = "The folder of the job was deleted while it ran."
-            raise InputError(what, str(part), "Run the job again.")
+            raise core.InputError(what, str(part), "Run the job again.")
         text = json.dumps(answer, sort_keys=True, allow_nan=False)
-        write_atomically(part / RESULT_FILE, text.encode())
+        core.write_atomically(part / RESULT_FILE, text.encode())
         try:
             part.rename(self.folder(spec.id))
         except OSError:
             # Another process finished the same job first; its result is equal.
             if not self.has(spec.id):
                 raise
-        sync_folder(self.root)
+        core.sync_folder(self.root)
 
     def sweep(self) -> int:
         """Delete folders of killed processes: unfinished jobs and job arrays; return their number.
@@ -171,13 +164,13 @@ def run_job(spec: JobSpec, kinds: JobFunctions, store: JobStore) -> JobResult:
     try:
         if spec.kind not in kinds:
             known = ", ".join(sorted(kinds))
-            raise InputError(
+            raise core.InputError(
                 f"There is no job kind '{spec.kind}'.", spec.id, f"Use one of: {known}."
             )
         with store.writing(spec) as folder:
             answer = kinds[spec.kind](spec, JobContext(folder, store))
             store.finish(spec, folder, answer)
-    except TouchdownError as error:
+    except core.TouchdownError as error:
         return JobResult(spec.id, spec.kind, "failed", time.monotonic() - began_s, str(error))
     except Exception as error:  # noqa: BLE001 - one bad job must not end a campaign of thousands
         why = traceback.format_exc(limit=-3)

@@ -18,15 +18,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from touchdown.backend import core
 from touchdown.backend.config import HardwareSettings, Limits
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    SampleStream,
-    blocking_section,
-    request_short_slices,
-    set_realtime_priority,
-)
 from touchdown.backend.devices import CommandedMotion, Interlock
 from touchdown.backend.rig.memory import (
     BACKEND_BEAT,
@@ -76,8 +69,8 @@ class RigLink:
         self,
         settings: HardwareSettings,
         now_s: Callable[[], float],
-        samples: SampleStream,
-        poses: SampleStream,
+        samples: core.SampleStream,
+        poses: core.SampleStream,
         interlock: Interlock,
     ) -> None:
         self._settings, self._now_s, self._interlock = settings, now_s, interlock
@@ -95,7 +88,7 @@ class RigLink:
         self._motions: dict[int, RigMotion] = {}
         self._limits: Limits | None = None
         # Fault that ended the rig; None while it runs or is not needed.
-        self.lost: Fault | None = None
+        self.lost: core.Fault | None = None
 
     def _forget(self) -> None:
         """Start with the counts and states of a new rig."""
@@ -164,11 +157,11 @@ class RigLink:
             }
         )
         if not self._greeting.came.wait(START_S):
-            raise FaultError(NO_START)
+            raise core.FaultError(NO_START)
         if self.hello.get("kind") == "refused":
             raise read_error(self.hello["error"])
         if self.lost is not None:
-            raise FaultError(self.lost)
+            raise core.FaultError(self.lost)
         self._thread = threading.Thread(
             target=self._run_cycles, args=(memory, ended), name="rig link", daemon=True
         )
@@ -256,9 +249,9 @@ class RigLink:
     def _ask(self, name: str, arguments: dict[str, Any]) -> _PendingAnswer:
         channel, lost = self._channel, self.lost
         if lost is not None:
-            raise FaultError(lost)
+            raise core.FaultError(lost)
         if channel is None or self._child is None:
-            raise FaultError(NOT_STARTED)
+            raise core.FaultError(NOT_STARTED)
         number, answer = next(self._numbers), _PendingAnswer()
         self._answers[number] = answer
         self._forward_reset(channel)
@@ -267,10 +260,10 @@ class RigLink:
         if not taken or not self.running:
             # The rig may have been lost meanwhile; nothing else would end this command.
             self._answers.pop(number, None)
-            raise FaultError(GONE)
-        with blocking_section("waits for the devices", 2.0 * ORDER_S):
+            raise core.FaultError(GONE)
+        with core.blocking_section("waits for the devices", 2.0 * ORDER_S):
             if not answer.came.wait(ORDER_S):
-                raise FaultError(NO_ANSWER)
+                raise core.FaultError(NO_ANSWER)
         if "error" in answer.message:
             raise read_error(answer.message["error"])
         return answer
@@ -316,8 +309,8 @@ class RigLink:
     # -- heartbeat thread -------------------------------------------------------------------------
 
     def _run_cycles(self, memory: SharedMemory, ended: threading.Event) -> None:
-        if not set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority)):
-            request_short_slices()
+        if not core.set_realtime_priority(min(PRIORITY, self._settings.melfa.realtime_priority)):
+            core.request_short_slices()
         beats, beat_s = memory.count(RIG_BEAT), time.monotonic()
         while not ended.wait(BEAT_S):
             memory.permit(self._interlock.lease_until_s)
@@ -354,7 +347,7 @@ class RigLink:
 
     # -- loss -------------------------------------------------------------------------------------
 
-    def _lose(self, ended: threading.Event, fault: Fault) -> None:
+    def _lose(self, ended: threading.Event, fault: core.Fault) -> None:
         """Handle the loss of the rig, unless it was closed."""
         if ended.is_set() or ended is not self._ending or self.lost is not None:
             return
@@ -364,7 +357,7 @@ class RigLink:
             self._interlock.raise_fault(fault)
         self._greeting.came.set()
 
-    def _give_up(self, fault: Fault) -> None:
+    def _give_up(self, fault: core.Fault) -> None:
         for motion in list(self._motions.values()):
             motion.end(fault)
         self._motions.clear()
@@ -379,7 +372,7 @@ SILENT = control_lost("The process that drives arm, gripper and wrist sensor is 
 GONE = control_lost("The process that drives arm, gripper and wrist sensor has ended.")
 NO_ANSWER = control_lost("The process that drives arm, gripper and wrist sensor gives no answer.")
 NO_START = control_lost("The process that drives arm, gripper and wrist sensor does not start.")
-NOT_STARTED = Fault(
+NOT_STARTED = core.Fault(
     "NOT-CONNECTED",
     "Arm, gripper and wrist sensor are not connected.",
     "Nothing was moved.",

@@ -19,15 +19,7 @@ from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import IO, Any
 
-from touchdown.backend import devices
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    InputError,
-    RefusedError,
-    StaleSampleError,
-    TouchdownError,
-)
+from touchdown.backend import core, devices
 
 Message = dict[str, Any]
 MOST_BYTES = 65_536
@@ -70,25 +62,25 @@ def receive(stream: IO[bytes]) -> Message | None:
     return message
 
 
-def as_row(value: Fault | devices.Identity | None) -> Mapping[str, str] | None:
+def as_row(value: core.Fault | devices.Identity | None) -> Mapping[str, str] | None:
     """Return a fault or an identity as JSON."""
     return None if value is None else asdict(value)
 
 
-def read_fault(row: Mapping[str, str] | None) -> Fault | None:
+def read_fault(row: Mapping[str, str] | None) -> core.Fault | None:
     """Return the fault of a JSON row."""
-    return None if row is None else Fault(**row)
+    return None if row is None else core.Fault(**row)
 
 
 def error_row(error: Exception) -> Message:
     """Return an error as JSON; an unexpected one is named by its type."""
-    if isinstance(error, FaultError):
+    if isinstance(error, core.FaultError):
         return {"type": "fault", "fault": as_row(error.fault)}
-    if isinstance(error, RefusedError):
+    if isinstance(error, core.RefusedError):
         return {"type": "refused", "reason": error.reason, "detail": error.detail}
-    if isinstance(error, InputError):
+    if isinstance(error, core.InputError):
         return {"type": "input", "what": error.what, "where": error.where, "fix": error.fix}
-    if isinstance(error, StaleSampleError):
+    if isinstance(error, core.StaleSampleError):
         return {"type": "stale", "text": str(error)}
     if isinstance(error, ValueError):
         return {"type": "value", "text": str(error)}
@@ -99,21 +91,21 @@ def read_error(row: Message) -> Exception:
     """Return the error of a JSON row."""
     match row["type"]:
         case "fault":
-            return FaultError(Fault(**row["fault"]))
+            return core.FaultError(core.Fault(**row["fault"]))
         case "refused":
-            return RefusedError(row["reason"], row["detail"])
+            return core.RefusedError(row["reason"], row["detail"])
         case "input":
-            return InputError(row["what"], row["where"], row["fix"])
+            return core.InputError(row["what"], row["where"], row["fix"])
         case "stale":
-            return StaleSampleError(row["text"])
+            return core.StaleSampleError(row["text"])
         case "value":
             return ValueError(row["text"])
-    return FaultError(program_fault(row["text"]))
+    return core.FaultError(program_fault(row["text"]))
 
 
-def program_fault(what: str) -> Fault:
+def program_fault(what: str) -> core.Fault:
     """Return the fault of a program error inside the rig."""
-    return Fault(
+    return core.Fault(
         "RIG-ERROR",
         f"The rig process failed by an error of this program: {what}.",
         "The arm was stopped; the gripper was not opened.",
@@ -132,7 +124,7 @@ def device_row(device: devices.Device) -> Row:
     return {
         "state": device.state.value,
         "steps": steps.done if isinstance(steps, devices.ConnectionSteps) else 0,
-        "fault": as_row(fault if isinstance(fault, Fault) else None),
+        "fault": as_row(fault if isinstance(fault, core.Fault) else None),
     }
 
 
@@ -155,7 +147,7 @@ def arm_row(arm: devices.Arm) -> Row:
             pose = arm.pose(POSE_AGE_S)
             row["turn"] = [pose.rx_rad, pose.ry_rad, pose.rz_rad]
             row["joints"] = list(arm.joints_rad(POSE_AGE_S)) if arm.rotates else None
-        except (StaleSampleError, TouchdownError):
+        except (core.StaleSampleError, core.TouchdownError):
             # The position is unknown at present; the reader's age limit reports it.
             return row
     return row

@@ -20,13 +20,8 @@ from pathlib import Path
 from types import FrameType
 from typing import IO
 
+from touchdown.backend import core
 from touchdown.backend.config import HardwareSettings, Limits
-from touchdown.backend.core import (
-    InputError,
-    SampleStream,
-    request_short_slices,
-    set_realtime_priority,
-)
 from touchdown.backend.devices import make_arm, make_force_torque, make_gripper
 from touchdown.backend.rig.host import Devices, RigHost
 from touchdown.backend.rig.memory import SharedMemory, attach
@@ -40,8 +35,8 @@ CAPACITY = 32_768
 
 def make_devices(settings: HardwareSettings, now_s: Callable[[], float]) -> Devices:
     """Return the three drivers of a lab file, not yet connected; raises ``InputError``."""
-    samples = SampleStream("force_torque", 6, CAPACITY)
-    poses = SampleStream("arm", 3, CAPACITY)
+    samples = core.SampleStream("force_torque", 6, CAPACITY)
+    poses = core.SampleStream("arm", 3, CAPACITY)
     sensor = make_force_torque(settings, now_s, samples)
     gripper = make_gripper(settings, now_s)
     return Devices(make_arm(settings, now_s, samples, poses), gripper, sensor, samples, poses)
@@ -66,7 +61,7 @@ def main() -> int:
         settings = HardwareSettings.model_validate(begin["settings"])
         devices = make_devices(settings, now_s)
         memory = attach(Path(begin["memory"]))
-    except (InputError, ValueError, OSError) as error:
+    except (core.InputError, ValueError, OSError) as error:
         sink.write(pack({"kind": "refused", "error": error_row(error)}))
         sink.flush()
         return 2
@@ -91,9 +86,9 @@ def _serve(
         return taken
 
     # Before any thread starts: all inherit the priority, or one without it would delay the others.
-    realtime = set_realtime_priority(priority)
+    realtime = core.set_realtime_priority(priority)
     if not realtime:
-        request_short_slices()
+        core.request_short_slices()
     parent = ParentProcess()
     host = RigHost(devices, Limits(**begin["limits"]), now_s, memory, say)
     channel = Channel(*pipes, host.take, host.abandon)

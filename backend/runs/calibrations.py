@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from touchdown.backend import core
+from touchdown.backend import core, sensing
 from touchdown.backend.calibration import (
     AXES,
     FINGERPRINT_LIMIT_PX,
@@ -35,16 +35,6 @@ from touchdown.backend.geometry import Piece
 from touchdown.backend.rig import fault_of
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.requests import CollectRequest, Request, StackRequest
-from touchdown.backend.sensing import (
-    MOTION_FACTOR,
-    NOISE_FLOOR_PX,
-    REST_FRAMES,
-    GelRest,
-    WrenchDrift,
-    WrenchDriftEstimator,
-    gripper_payload,
-    measure_rest,
-)
 
 UsedCalibrations = Mapping[CalibrationName, CalibrationRecord]
 
@@ -118,7 +108,7 @@ def payload_wrench(
     values = record.file.values
     # Its height produces no moment while the hand is level.
     centre_mm = (values["com_x_mm"].value, values["com_y_mm"].value, 0.0)
-    return gripper_payload(values["mass_kg"].value, centre_mm)
+    return sensing.gripper_payload(values["mass_kg"].value, centre_mm)
 
 
 def accept_calibration(
@@ -201,7 +191,7 @@ class GelCheck:
             if fault is not None:
                 raise core.FaultError(fault)
             raise _fault("GEL-UNSEEN", name, "Its images arrive too slowly.", "Look at its cable.")
-        seen = measure_rest(frames)
+        seen = sensing.measure_rest(frames)
         if not seen.grid.usable:
             what = f"{seen.grid.message[:1].upper()}{seen.grid.message[1:]}."
             raise _fault("GEL-GRID", name, what, "Clean the gel, or fit one of 7 x 9 dots.")
@@ -211,12 +201,14 @@ class GelCheck:
         """Return the next images; fewer from a slow camera."""
         stream, waited_s = self._frames[finger], 0.0
         begun = stream.count
-        while stream.count - begun < REST_FRAMES and waited_s < WAIT_S and not cancel.is_set():
+        while (
+            stream.count - begun < sensing.REST_FRAMES and waited_s < WAIT_S and not cancel.is_set()
+        ):
             self._pause(cancel)
             waited_s += LOOK_S
         return stream.since(begun)[0]
 
-    def _compare(self, finger: core.Finger, seen: GelRest) -> None:
+    def _compare(self, finger: core.Finger, seen: sensing.GelRest) -> None:
         name = f"tactile_{finger}"
         known = {
             one: mirrored_dots(px, str(self._devices[one].describe().get("mirror", "none")))
@@ -228,7 +220,7 @@ class GelCheck:
         away_px = fingerprint_distance_px(seen.position_px, known[name])
         if away_px < limit_px:
             return
-        if seen.motion_px > MOTION_FACTOR * NOISE_FLOOR_PX:
+        if seen.motion_px > sensing.MOTION_FACTOR * sensing.NOISE_FLOOR_PX:
             what = f"The gel moves by {seen.motion_px:.2f} px: it cannot be identified."
             raise _fault("GEL-MOVES", name, what, "Let go of the gel and connect again.")
         owner, mirror = identify_gel(seen.position_px, known, name, limit_px)
@@ -302,7 +294,7 @@ class DriftMonitor:
     ) -> None:
         self._scene, self._surface_mm, self._publish = scene, surface_mm, publish
         self._cursor = scene.sensing.raw.samples.count
-        self._watch, self._due_s = WrenchDriftEstimator(), -math.inf
+        self._watch, self._due_s = sensing.WrenchDriftEstimator(), -math.inf
         self._at_rest: core.Pose | None = None
         self._since_s = math.inf
         self._load: tuple[bool, float] | None = None
@@ -349,7 +341,7 @@ class DriftMonitor:
         return pose.z_mm >= self._surface_mm() + CLEAR_MM
 
 
-def drift_notice(drift: WrenchDrift) -> core.Fault:
+def drift_notice(drift: sensing.WrenchDrift) -> core.Fault:
     """Return the notice of a drifting wrist sensor; nothing is latched."""
     per_min = 60.0 * drift.rate_n_s
     return core.Fault(

@@ -18,26 +18,9 @@ import pydantic.dataclasses
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
+from touchdown.backend import core, episodes
 from touchdown.backend.annotations import Dataset, EpisodeEntry, EpisodeFilter, items_deleted, uuid7
 from touchdown.backend.config import first_error
-from touchdown.backend.core import (
-    MARKERS,
-    TACTILE_CHANNELS,
-    FloatArray,
-    InputError,
-    parse_json,
-    read_only,
-    write_atomically,
-)
-from touchdown.backend.episodes import (
-    OBSERVATION_TOPIC,
-    Coverage,
-    ExaminedEpisode,
-    count_coverage,
-    input_errors,
-    read_first,
-    unpack_observation,
-)
 from touchdown.backend.geometry import (
     COARSE_SEGMENTS,
     MIN_OVERLAP_MM2,
@@ -62,7 +45,9 @@ class ProbeTarget:
     bottom: Outline
     within_mm: float | None = None
 
-    def allows(self, offsets_mm: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def allows(
+        self, offsets_mm: core.FloatArray
+    ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Return (n,): which of ``offsets_mm`` (n, 2) overlap enough and lie within the range."""
         area = overlap_area_mm2(self.face, offsets_mm, self.bottom, segments=COARSE_SEGMENTS)
         enough = area >= MIN_OVERLAP_MM2
@@ -78,7 +63,7 @@ class ProbeTarget:
 
 
 def planned_displacement_mm(
-    pattern: Pattern, target: ProbeTarget, seed: int, item: int, count: int, seen: Coverage
+    pattern: Pattern, target: ProbeTarget, seed: int, item: int, count: int, seen: episodes.Coverage
 ) -> tuple[float, float]:
     """Return the displacement of item 0, 1, ... of ``count``; raises ``InputError`` if none fits.
 
@@ -98,7 +83,7 @@ def planned_displacement_mm(
 
 
 @lru_cache(maxsize=4)
-def grid_displacements_mm(target: ProbeTarget, count: int) -> FloatArray:
+def grid_displacements_mm(target: ProbeTarget, count: int) -> core.FloatArray:
     """Return (count, 2) points of the widest square lattice with enough points, in boustrophedon
     order.
     """
@@ -115,11 +100,11 @@ def grid_displacements_mm(target: ProbeTarget, count: int) -> FloatArray:
             wide = middle
     places = _lattice(target, fine)
     chosen = np.asarray(places[np.linspace(0, len(places) - 1, count).round().astype(int)])
-    read_only(chosen)
+    core.read_only(chosen)
     return chosen
 
 
-def _lattice(target: ProbeTarget, pitch_mm: float) -> FloatArray:
+def _lattice(target: ProbeTarget, pitch_mm: float) -> core.FloatArray:
     """Return the allowed lattice points (n, 2) row by row, in alternating direction."""
     count = int(target.reach_mm / pitch_mm)
     steps = pitch_mm * np.arange(-count, count + 1)
@@ -132,7 +117,7 @@ def _lattice(target: ProbeTarget, pitch_mm: float) -> FloatArray:
 
 
 def _into_a_hole(
-    rng: np.random.Generator, target: ProbeTarget, seen: Coverage
+    rng: np.random.Generator, target: ProbeTarget, seen: episodes.Coverage
 ) -> tuple[float, float]:
     """Draw a point in one of the reachable bins with the fewest probes."""
     rows, columns = np.nonzero(seen.possible)
@@ -146,14 +131,14 @@ def _into_a_hole(
     raise _nothing_fits(target)
 
 
-def xy_mm(place: FloatArray) -> tuple[float, float]:
+def xy_mm(place: core.FloatArray) -> tuple[float, float]:
     """Return the first two components as floats."""
     return float(place[0]), float(place[1])
 
 
-def _nothing_fits(target: ProbeTarget) -> InputError:
+def _nothing_fits(target: ProbeTarget) -> core.InputError:
     within = "" if target.within_mm is None else f" within {target.within_mm:g} mm"
-    return InputError(
+    return core.InputError(
         f"Not enough displacements{within} overlap by {MIN_OVERLAP_MM2:g} mm².",
         "piece, bottom, range and count",
         "Choose larger faces, a wider range or fewer probes.",
@@ -196,7 +181,7 @@ class Campaign:
     def save(self, dataset: Path) -> None:
         """Write the campaign durably into its dataset."""
         content = {"format": FORMAT, **asdict(self)}
-        write_atomically(_path(dataset, self.uuid), json.dumps(content, indent=1).encode())
+        core.write_atomically(_path(dataset, self.uuid), json.dumps(content, indent=1).encode())
 
 
 def fresh_seed() -> int:
@@ -221,7 +206,7 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
     """Read one campaign; raises ``InputError`` naming its file."""
     path = _path(dataset, uuid)
     try:
-        content = parse_json(path.read_bytes())
+        content = core.parse_json(path.read_bytes())
         version, skipped = content.pop("format"), content["skipped"]
         if version is True or version != FORMAT or content["pattern"] not in PATTERNS:
             raise ValueError("it is of another version")
@@ -232,7 +217,7 @@ def read_campaign(dataset: Path, uuid: str) -> Campaign:
         return Campaign(**{k: v for k, v in content.items() if k in known})
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = first_error(error) if isinstance(error, ValidationError) else error
-        raise InputError(
+        raise core.InputError(
             f"The campaign cannot be read: {why}.", str(path), "Begin a new campaign."
         ) from error
 
@@ -256,10 +241,10 @@ def _path(dataset: Path, uuid: str) -> Path:
 
 def labelled_coverage(
     dataset: Dataset, entries: Sequence[EpisodeEntry], face: Outline, bottom: Outline
-) -> Coverage:
+) -> episodes.Coverage:
     """Return the coverage of the valid ``entries`` of one pair."""
     kept = [entry.uuid for entry in entries if counts_for_coverage(entry)]
-    return count_coverage(dataset.labels.offsets_mm(kept), face, bottom)
+    return episodes.count_coverage(dataset.labels.offsets_mm(kept), face, bottom)
 
 
 def counts_for_coverage(entry: EpisodeEntry) -> bool:
@@ -267,7 +252,7 @@ def counts_for_coverage(entry: EpisodeEntry) -> bool:
     return entry.quality.accepted and not entry.deleted and entry.state != "rejected"
 
 
-def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> Coverage:
+def pair_coverage(dataset: Dataset, campaign: Campaign, target: ProbeTarget) -> episodes.Coverage:
     """Return the coverage that a campaign starts from.
 
     It counts the campaign's own probes and the submitted or approved ones of the same pair.
@@ -288,9 +273,9 @@ def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
     """
     last = np.asarray(observation[-1], dtype=np.float64)
     # Per axis the value of largest magnitude with its sign; NaN if a value is missing
-    shifts = last[:TACTILE_CHANNELS].reshape(2, 2, MARKERS).swapaxes(0, 1).reshape(2, -1)
+    shifts = last[: core.TACTILE_CHANNELS].reshape(2, 2, core.MARKERS).swapaxes(0, 1).reshape(2, -1)
     u_px, v_px = (float(shift[np.argmax(np.abs(shift))]) for shift in shifts)
-    fz, tx, ty = (float(last[TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
+    fz, tx, ty = (float(last[core.TACTILE_CHANNELS + channel]) for channel in (2, 3, 4))
     return u_px, v_px, tx, ty, fz
 
 
@@ -298,7 +283,7 @@ def last_signal_excerpt(observation: NDArray[np.float32]) -> SignalExcerpt:
 class ProbeSummary:
     """Probe as used by the quality checks, its commanded displacement (mm) and last signals."""
 
-    examined: ExaminedEpisode
+    examined: episodes.ExaminedEpisode
     commanded_mm: tuple[float, float]
     signals: SignalExcerpt
 
@@ -311,17 +296,19 @@ def read_probe_summary(dataset: Dataset, entry: EpisodeEntry) -> ProbeSummary:
         observation, commanded_mm = episode.observation, episode.offset_mm.tolist()
     else:
         path = dataset.folder / entry.path
-        contents = read_first(path)
-        with input_errors(path):
-            observation = unpack_observation(contents.messages[OBSERVATION_TOPIC.name])
-            commanded_mm = parse_json(contents.metadata["episode"]["offset_mm"])
+        contents = episodes.read_first(path)
+        with episodes.input_errors(path):
+            observation = episodes.unpack_observation(
+                contents.messages[episodes.OBSERVATION_TOPIC.name]
+            )
+            commanded_mm = core.parse_json(contents.metadata["episode"]["offset_mm"])
     x_mm, y_mm = commanded_mm
-    examined = ExaminedEpisode.of(entry.uuid, observation, label_mm, entry.quality)
+    examined = episodes.ExaminedEpisode.of(entry.uuid, observation, label_mm, entry.quality)
     return ProbeSummary(examined, (x_mm, y_mm), last_signal_excerpt(observation))
 
 
 def read_examined_episodes(
     dataset: Dataset, entries: Sequence[EpisodeEntry]
-) -> list[ExaminedEpisode]:
+) -> list[episodes.ExaminedEpisode]:
     """Read the input of the quality checks; raises ``InputError`` naming a damaged file."""
     return [read_probe_summary(dataset, entry).examined for entry in entries]

@@ -9,19 +9,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from touchdown.backend import geometry
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.core import Fall, FloatArray
-from touchdown.backend.geometry import (
-    FLAT,
-    Outline,
-    Piece,
-    Surface,
-    Tower,
-    TowerVerdict,
-    judge_tower,
-    scene_number,
-    surface_margins_mm,
-)
 from touchdown.backend.simulation import conditions
 from touchdown.backend.simulation.conditions import MountingDraw, SeedScope, draw_surface
 from touchdown.backend.simulation.release_mujoco import (
@@ -42,8 +32,8 @@ class Scene:
     ``start_mm``, where it can be put back and gripped again.
     """
 
-    piece: Piece
-    bottoms: Tower
+    piece: geometry.Piece
+    bottoms: geometry.Tower
     start_mm: tuple[float, float]
     seed: int
     settings: SimulationSettings = field(default_factory=SimulationSettings)
@@ -59,13 +49,13 @@ class Scene:
         if self.bottoms.bodies[-1].upper is None:
             raise ValueError(f"{self.bottoms.bodies[-1].name} carries nothing")
         *below, top = self.bottoms.bodies
-        if top.surface.flat and (surface := self._drawn_surface()) is not FLAT:
-            drawn = Tower((*below, replace(top, surface=surface)))
+        if top.surface.flat and (surface := self._drawn_surface()) is not geometry.FLAT:
+            drawn = geometry.Tower((*below, replace(top, surface=surface)))
             object.__setattr__(self, "bottoms", drawn)
         # Refuses towers with a face that is not flat below another bottom.
         self.bottoms.with_top(self.piece.body())
 
-    def _drawn_surface(self) -> Surface:
+    def _drawn_surface(self) -> geometry.Surface:
         rng = conditions.scoped_generator(self.seed, SeedScope.SURFACE, self.number)
         return draw_surface(self.settings.surface, max(self.surface.half_extents_mm), rng)
 
@@ -78,10 +68,10 @@ class Scene:
     @property
     def number(self) -> int:
         """Number of piece and bottoms, a part of the seed of every draw."""
-        return scene_number(self.piece.name, *(body.name for body in self.bottoms.bodies))
+        return geometry.scene_number(self.piece.name, *(body.name for body in self.bottoms.bodies))
 
     @property
-    def surface(self) -> Outline:
+    def surface(self) -> geometry.Outline:
         """Outline of the surface that is touched."""
         upper = self.bottoms.bodies[-1].upper
         assert upper is not None
@@ -112,7 +102,7 @@ def touched_margins_mm(
     ``com_xy_mm``: centre of mass in ``F``. The piece is not rotated.
     """
     piece, top = scene.piece, scene.bottoms.bodies[-1]
-    return surface_margins_mm(
+    return geometry.surface_margins_mm(
         piece.face, com_xy_mm, piece.com_height_mm, scene.surface, top.surface, places_mm
     )
 
@@ -142,7 +132,9 @@ class SceneTruth:
     kick_mm: float = 0.0
 
 
-def tower_with_piece(scene: Scene, offset_mm: tuple[float, float], yaw_rad: float) -> Tower:
+def tower_with_piece(
+    scene: Scene, offset_mm: tuple[float, float], yaw_rad: float
+) -> geometry.Tower:
     """Return the true tower with the piece at ``offset_mm`` from its topmost bottom."""
     carrier = scene.bottoms.bodies[-1]
     at_mm = (carrier.at_mm[0] + offset_mm[0], carrier.at_mm[1] + offset_mm[1])
@@ -167,13 +159,13 @@ def judge_release(
     kick_mm: tuple[float, float] = (0.0, 0.0),
     *,
     sign_only: bool = False,
-) -> TowerVerdict:
+) -> geometry.TowerVerdict:
     """Return the margins of the tower with the piece released at ``offset_mm``.
 
     ``sign_only``: infinite on a face that is not flat, without the search for the margin.
     """
     tower = tower_with_piece(scene, offset_mm, yaw_rad)
-    return judge_tower(tower, kick_mm, scene.settings.mu, sign_only=sign_only)
+    return geometry.judge_tower(tower, kick_mm, scene.settings.mu, sign_only=sign_only)
 
 
 def release_kick_mm(scene: Scene, release: int) -> tuple[float, float]:

@@ -9,14 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from touchdown.backend import geometry
 from touchdown.backend.core import FloatArray, ImageArray
-from touchdown.backend.geometry import (
-    BOARD_DOT_RADIUS_MM,
-    BOARD_DOTS_MM,
-    Outline,
-    rings_of,
-    rotated,
-)
 from touchdown.backend.simulation.ground_truth import Scene
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 640, 480, 760.0
@@ -74,13 +68,13 @@ def _board(image: ImageArray) -> None:
     corners = BOARD_MM * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     _fill(image, corners, 0.0, BOARD)
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    ring = BOARD_DOT_RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    for dot in BOARD_DOTS_MM:
+    ring = geometry.BOARD_DOT_RADIUS_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for dot in geometry.BOARD_DOTS_MM:
         _fill(image, dot + ring, 0.0, DOT)
 
 
-def _placed(outline: Outline, at_mm: tuple[float, float], yaw_rad: float) -> FloatArray:
-    return np.asarray(rotated(outline.path(64), yaw_rad) + at_mm)
+def _placed(outline: geometry.Outline, at_mm: tuple[float, float], yaw_rad: float) -> FloatArray:
+    return np.asarray(geometry.rotated(outline.path(64), yaw_rad) + at_mm)
 
 
 def _prism(
@@ -94,7 +88,7 @@ def _prism(
     The sides of ends with holes, notches or several parts are drawn one by one.
     """
     shade = (int(SHADE * colour[0]), int(SHADE * colour[1]), int(SHADE * colour[2]))
-    lows, highs = (rings_of(_px(*end)) for end in (low, high))
+    lows, highs = (geometry.rings_of(_px(*end)) for end in (low, high))
     convex = len(lows) == 1 and cv2.isContourConvex(lows[0].astype(np.float32))
     if not convex and [len(ring) for ring in lows] == [len(ring) for ring in highs]:
         for foot, head in zip(lows, highs, strict=True):
@@ -111,7 +105,7 @@ def _prism(
 def _fill(
     image: ImageArray, outline_mm: FloatArray, z_mm: float, colour: tuple[int, int, int]
 ) -> None:
-    _paint(image, rings_of(_px(outline_mm, z_mm)), colour)
+    _paint(image, geometry.rings_of(_px(outline_mm, z_mm)), colour)
 
 
 def _px(outline_mm: FloatArray, z_mm: float) -> FloatArray:

@@ -9,16 +9,9 @@ import threading
 from operator import sub
 
 from touchdown.backend.config import HardwareSettings
+from touchdown.backend.devices import force_torque
 from touchdown.backend.devices.dynpick import protocol
 from touchdown.backend.devices.dynpick.protocol import DynpickCommand, DynpickRecord
-from touchdown.backend.devices.force_torque import (
-    FramedDriver,
-    SensorDescription,
-    SensorLink,
-    WrenchReading,
-    listen,
-    pause,
-)
 from touchdown.backend.devices.protocols import Identity
 
 PERIOD_S = 0.001
@@ -27,7 +20,7 @@ ANSWER_S = 0.3
 LONGEST_ANSWER = 60
 
 
-class DynpickDriver(FramedDriver[DynpickRecord]):
+class DynpickDriver(force_torque.FramedDriver[DynpickRecord]):
     """The protocol has no checksum: a single sample that differs by more than ``max_step`` is
     dropped. If the next one agrees with it, the load has changed.
     """
@@ -43,10 +36,12 @@ class DynpickDriver(FramedDriver[DynpickRecord]):
         self._kept: DynpickRecord | None = None
         self._missed = 0
 
-    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+    def start(
+        self, link: force_torque.SensorLink, cancel: threading.Event
+    ) -> force_torque.SensorDescription:
         """Stop an old stream, read the sensitivities (older types do not answer), start."""
         link.write(DynpickCommand.STOP.value)
-        pause(cancel, SETTLE_S)
+        force_torque.pause(cancel, SETTLE_S)
         link.drain()
         link.write(DynpickCommand.SENSITIVITY.value)
         heard = bytearray()
@@ -56,20 +51,20 @@ class DynpickDriver(FramedDriver[DynpickRecord]):
             whole = heard.endswith(protocol.END) or len(heard) > LONGEST_ANSWER
             return True if whole else None
 
-        if listen(link, cancel, ANSWER_S, answered) or heard:
+        if force_torque.listen(link, cancel, ANSWER_S, answered) or heard:
             self._sensitivity = protocol.decode_sensitivity(bytes(heard))
         link.write(DynpickCommand.FILTER_1.value + DynpickCommand.START.value)
         rated = tuple(protocol.ZERO_COUNT / per_unit for per_unit in self._sensitivity)
         # The sensor has no readable serial number: the port replaces it.
-        return SensorDescription(
+        return force_torque.SensorDescription(
             Identity("WACOH-TECH", "Dynpick", self._address, ""), rated, PERIOD_S
         )
 
-    def take(self, data: bytes) -> list[WrenchReading]:
+    def take(self, data: bytes) -> list[force_torque.WrenchReading]:
         """Return the plausible samples."""
         return [self._reading(r) for r in self._decoder.feed(data) if self._plausible(r)]
 
-    def stop(self, link: SensorLink) -> None:
+    def stop(self, link: force_torque.SensorLink) -> None:
         """End the stream."""
         link.write(DynpickCommand.STOP.value)
 
@@ -89,8 +84,8 @@ class DynpickDriver(FramedDriver[DynpickRecord]):
         leap: int = max(map(abs, map(sub, first.counts, second.counts)))
         return leap <= self._settings.max_step
 
-    def _reading(self, record: DynpickRecord) -> WrenchReading:
+    def _reading(self, record: DynpickRecord) -> force_torque.WrenchReading:
         missed, self._missed = self._missed, 0
         low, high = self._settings.saturation
         overload = min(record.counts) <= low or max(record.counts) >= high
-        return WrenchReading(record.wrench(self._sensitivity), missed, overload)
+        return force_torque.WrenchReading(record.wrench(self._sensitivity), missed, overload)

@@ -16,15 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from touchdown.backend import emulation
 from touchdown.backend.core import Decimator, Finger, ImageArray, InputError
-from touchdown.backend.emulation import (
-    BenchTables,
-    DeviceServer,
-    Emulation,
-    EmulationChoice,
-    Faults,
-    PictureFunction,
-)
 
 WIDTH_PX = 320  # picture width to which ``OTHER`` and ``TILE_COLUMNS`` refer
 # Transform to another gel of the same kind: its dots are some 5 px away, as for two real sensors.
@@ -39,19 +32,19 @@ SERIAL = "2D8Y-69GR"
 IDLE_S = 0.01
 
 
-class GelsightServer(DeviceServer):
+class GelsightServer(emulation.DeviceServer):
     """Server of pictures in ``folder`` at ``rate_hz``; several may share a folder."""
 
     def __init__(
         self,
-        pictures: PictureFunction,
+        pictures: emulation.PictureFunction,
         folder: Path,
         serial: str = SERIAL,
         *,
         rate_hz: float = RATE_HZ,
-        faults: Faults | None = None,
+        faults: emulation.Faults | None = None,
     ) -> None:
-        super().__init__(faults or Faults("tactile_left"))
+        super().__init__(faults or emulation.Faults("tactile_left"))
         self._pictures, self._folder, self._serial = pictures, folder, serial
         self._period_s = 1.0 / rate_hz
         self._last: bytes | None = None
@@ -232,7 +225,9 @@ def small_dots(picture: ImageArray) -> ImageArray:
 GELS = {"other_gel": other_gel, "small_dots": small_dots}
 
 
-def emulate_gelsight(choice: EmulationChoice, faults: Faults) -> Emulation:
+def emulate_gelsight(
+    choice: emulation.EmulationChoice, faults: emulation.Faults
+) -> emulation.Emulation:
     """Serve the pictures of a camera in a folder; raises ``InputError`` without either."""
     choice.network_port()
     if choice.folder is None or choice.port is not None or choice.pictures is None:
@@ -241,10 +236,10 @@ def emulate_gelsight(choice: EmulationChoice, faults: Faults) -> Emulation:
         )
     serial = choice.serial or SERIAL
     front = GelsightServer(choice.pictures, choice.folder, serial, faults=faults)
-    return Emulation((front,), camera_tables(choice.folder, {choice.finger: serial}))
+    return emulation.Emulation((front,), camera_tables(choice.folder, {choice.finger: serial}))
 
 
-def camera_tables(folder: Path, serials: Mapping[Finger, str]) -> BenchTables:
+def camera_tables(folder: Path, serials: Mapping[Finger, str]) -> emulation.BenchTables:
     """Return the tables of a bench file for emulated cameras."""
     names = {"by_id": "by-id", "names": "names", "nodes": "nodes"}
     places = {key: str((folder / name).resolve()) for key, name in names.items()}

@@ -9,13 +9,7 @@ import threading
 from typing import TypeVar
 
 from touchdown.backend.config import HardwareSettings
-from touchdown.backend.devices.force_torque import (
-    FramedDriver,
-    SensorDescription,
-    SensorLink,
-    WrenchReading,
-    pause,
-)
+from touchdown.backend.devices import force_torque
 from touchdown.backend.devices.leptrino import protocol
 from touchdown.backend.devices.leptrino.protocol import LeptrinoCommand, PlainFrame
 from touchdown.backend.devices.protocols import Identity
@@ -27,7 +21,7 @@ AnswerT = TypeVar(
 )
 
 
-class LeptrinoDriver(FramedDriver[protocol.Packet]):
+class LeptrinoDriver(force_torque.FramedDriver[protocol.Packet]):
     """Samples are not numbered: a rejected frame counts as one lost sample."""
 
     baud = 460_800
@@ -38,11 +32,13 @@ class LeptrinoDriver(FramedDriver[protocol.Packet]):
         self._rate_hz = settings.ft.rate_hz or RATE_HZ
         self._rated: tuple[float, ...] = ()
 
-    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+    def start(
+        self, link: force_torque.SensorLink, cancel: threading.Event
+    ) -> force_torque.SensorDescription:
         """Stop twice, read identity and rated loads, start the stream."""
         for _ in range(2):
             link.write(protocol.encode(PlainFrame(LeptrinoCommand.STOP)))
-            pause(cancel, SETTLE_S)
+            force_torque.pause(cancel, SETTLE_S)
         link.drain()
         self._decoder.reset()
         info = self._ask(link, cancel, LeptrinoCommand.INFO, protocol.SensorInfo)
@@ -50,20 +46,20 @@ class LeptrinoDriver(FramedDriver[protocol.Packet]):
         self._ask(link, cancel, LeptrinoCommand.START, PlainFrame)
         self.newly_bad()
         identity = Identity("Leptrino", info.model, info.serial, info.firmware)
-        return SensorDescription(identity, self._rated, 1.0 / self._rate_hz)
+        return force_torque.SensorDescription(identity, self._rated, 1.0 / self._rate_hz)
 
-    def take(self, data: bytes) -> list[WrenchReading]:
+    def take(self, data: bytes) -> list[force_torque.WrenchReading]:
         """Return the samples."""
         samples = (p for p in self._decoder.feed(data) if isinstance(p, protocol.LeptrinoSample))
         return [self._reading(sample, self.newly_bad()) for sample in samples]
 
-    def stop(self, link: SensorLink) -> None:
+    def stop(self, link: force_torque.SensorLink) -> None:
         """End the stream."""
         link.write(protocol.encode(PlainFrame(LeptrinoCommand.STOP)))
 
     def _ask(
         self,
-        link: SensorLink,
+        link: force_torque.SensorLink,
         cancel: threading.Event,
         command: LeptrinoCommand,
         kind: type[AnswerT],
@@ -73,7 +69,7 @@ class LeptrinoDriver(FramedDriver[protocol.Packet]):
 
         return self.ask(link, cancel, protocol.encode(PlainFrame(command)), kind, fits)
 
-    def _reading(self, sample: protocol.LeptrinoSample, missed: int) -> WrenchReading:
+    def _reading(self, sample: protocol.LeptrinoSample, missed: int) -> force_torque.WrenchReading:
         overload = (
             bool(sample.status & protocol.LeptrinoStatus.OVER_RATING)
             or max(map(abs, sample.counts)) >= protocol.CLIP
@@ -81,4 +77,4 @@ class LeptrinoDriver(FramedDriver[protocol.Packet]):
         trouble = ""
         if sample.status & (protocol.LeptrinoStatus.SENSOR | protocol.LeptrinoStatus.CALIBRATION):
             trouble = f"The sensor reports a failure (status {sample.status})"
-        return WrenchReading(sample.wrench(self._rated), missed, overload, trouble)
+        return force_torque.WrenchReading(sample.wrench(self._rated), missed, overload, trouble)

@@ -25,6 +25,7 @@ from touchdown.backend.core import (
     require_unrotated,
     rotation_vector,
 )
+from touchdown.backend.devices import streamed
 from touchdown.backend.devices.melfa.command_channel import (
     Console,
     ControllerLinks,
@@ -58,19 +59,6 @@ from touchdown.backend.devices.protocols import (
     Vector,
     servo_off_fault,
 )
-from touchdown.backend.devices.streamed import (
-    AT_REST,
-    JogProgram,
-    JointJogProgram,
-    JointTravelProgram,
-    LoopDelays,
-    PositionRecord,
-    RotationTravelProgram,
-    StreamedPrograms,
-    TravelProgram,
-    air_before,
-    jog_motion,
-)
 
 
 class MelfaPrograms:
@@ -84,7 +72,7 @@ class MelfaPrograms:
             settings.tool_mm,
         )
         lags_s = 1e-3 * settings.arm_lag_ms, 1e-3 * settings.sensor_lag_ms
-        self.level = StreamedPrograms(LoopDelays(CYCLE_S, *lags_s))
+        self.level = streamed.StreamedPrograms(streamed.LoopDelays(CYCLE_S, *lags_s))
 
     def under_way(self, core: StreamCore) -> bool:
         """Return True while a motion is active."""
@@ -100,9 +88,9 @@ class MelfaPrograms:
         motion = CommandedMotion({"x_mm": x, "y_mm": y, "z_mm": z, "speed_mm_s": speeds[0]})
         self.level.leave()
         if turn is IDENTITY_ROTATION and core.turn is IDENTITY_ROTATION:
-            core.run(TravelProgram(motion, target_mm, speeds[0]))
+            core.run(streamed.TravelProgram(motion, target_mm, speeds[0]))
         else:
-            core.run(RotationTravelProgram(motion, target, speeds))
+            core.run(streamed.RotationTravelProgram(motion, target, speeds))
         return motion
 
     def jog(
@@ -113,8 +101,10 @@ class MelfaPrograms:
             return self.level.follow(core, velocity_mm_s, until_s)
         program = core.program
         self.level.leave()
-        if not isinstance(program, JogProgram) or not program.turns or program.motion.done:
-            program = JogProgram(jog_motion(velocity_mm_s, turn_rad_s), turn_rad_s=AT_REST)
+        if not isinstance(program, streamed.JogProgram) or not program.turns or program.motion.done:
+            program = streamed.JogProgram(
+                streamed.jog_motion(velocity_mm_s, turn_rad_s), turn_rad_s=streamed.AT_REST
+            )
             core.run(program)
         program.renew(velocity_mm_s, until_s, turn_rad_s)
         return program.motion
@@ -125,9 +115,9 @@ class MelfaPrograms:
         """Start to turn joints, or continue with new speeds."""
         program = core.program
         self.level.leave()
-        if not isinstance(program, JointJogProgram) or program.motion.done:
+        if not isinstance(program, streamed.JointJogProgram) or program.motion.done:
             speeds = {f"j{k}_rad_s": v for k, v in enumerate(speeds_rad_s.tolist(), 1)}
-            program = JointJogProgram(CommandedMotion(speeds))
+            program = streamed.JointJogProgram(CommandedMotion(speeds))
             core.run(program)
         program.renew(speeds_rad_s, until_s)
         return program.motion
@@ -180,7 +170,7 @@ class MelfaArm:
     ) -> None:
         self._wires, self._settings, self._now_s = wires, settings, now_s
         self._wrench, self._wrench_cursor = wrench, 0
-        self._measured = PositionRecord(now_s, poses)
+        self._measured = streamed.PositionRecord(now_s, poses)
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._orders, self.steps = MelfaPrograms(settings), ConnectionSteps()
@@ -460,7 +450,7 @@ class MelfaArm:
             ends = {f"j{k}_rad": v for k, v in enumerate(target.tolist(), 1)}
             motion = CommandedMotion({**ends, "speed_rad_s": speed_rad_s})
             self._orders.level.leave()
-            self._core.run(JointTravelProgram(motion, target, speed_rad_s))
+            self._core.run(streamed.JointTravelProgram(motion, target, speed_rad_s))
             return motion
 
     def press(self, command: PressCommand) -> ArmPress:
@@ -469,7 +459,7 @@ class MelfaArm:
             return self._press_by_controller(command)
         self._require_stream()
         require_unrotated(self._core.turn)
-        before = air_before(self._wrench, self._now_s())
+        before = streamed.air_before(self._wrench, self._now_s())
         with self._lock:
             return self._orders.level.press(self._core, command, before)
 
@@ -522,7 +512,7 @@ class MelfaArm:
         if self._watch is not None:
             # Earlier reports of the controller concern another program.
             self._watch.state = None
-        return air_before(self._wrench, self._now_s())
+        return streamed.air_before(self._wrench, self._now_s())
 
     def _require_stream(self) -> None:
         """Reopen the stream after a stop or a force program; raises ``FaultError`` unless ready."""

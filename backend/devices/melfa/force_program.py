@@ -20,22 +20,11 @@ from touchdown.backend.core import (
     OnsetRule,
     RefusedError,
 )
+from touchdown.backend.devices import streamed
 from touchdown.backend.devices.melfa.command_channel import Console, ControllerLinks
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
 from touchdown.backend.devices.melfa.stream import END
 from touchdown.backend.devices.protocols import ArmPress, CommandedMotion, PressCommand, arm_fault
-from touchdown.backend.devices.streamed import (
-    AIR_WINDOW_S,
-    NOT_PRESSING,
-    OLD_S,
-    TRIPPED,
-    UNFELT,
-    UNLOAD_MM,
-    TripDetector,
-    no_contact_fault,
-    not_unloaded_fault,
-    press_fields,
-)
 
 # Time the program waits for the next command, and the delay of a command.
 WAITS_S, SOON_S = 3.0, 0.3
@@ -57,13 +46,13 @@ class ControllerPress:
         self._unloading: CommandedMotion | None = None
         self._unloaded_n = 0.0
         t_s, force_n = before
-        self._air_n = force_n[t_s >= t_s[-1] - AIR_WINDOW_S].mean(axis=0)
+        self._air_n = force_n[t_s >= t_s[-1] - streamed.AIR_WINDOW_S].mean(axis=0)
         self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
         self._detector.feed(t_s, force_n[:, 2])
         self._felt_s, self._press_n = float(t_s[-1]), math.nan
         descent_s = command.max_travel_mm / command.approach_mm_s
         self._ends_s = self._felt_s + descent_s + command.hold_s + margin_s
-        self._trip = TripDetector()
+        self._trip = streamed.TripDetector()
 
     @property
     def under_way(self) -> bool:
@@ -91,7 +80,7 @@ class ControllerPress:
     def unload(self, motion: CommandedMotion, force_n: float, now_s: float, speed: float) -> None:
         """Handle the command to unload to ``force_n`` at ``speed`` mm/s."""
         self._unloading, self._unloaded_n = motion, force_n
-        self._ends_s = now_s + UNLOAD_MM / speed + self._margin_s
+        self._ends_s = now_s + streamed.UNLOAD_MM / speed + self._margin_s
 
     def end(self, fault: Fault) -> None:
         """End the press: the program was stopped."""
@@ -122,13 +111,13 @@ class ControllerPress:
 
     def _wrong(self, now_s: float, tripped: bool, *, running: bool) -> Fault | None:
         if tripped:
-            return TRIPPED
-        if not now_s - self._felt_s <= OLD_S:
-            return UNFELT
+            return streamed.TRIPPED
+        if not now_s - self._felt_s <= streamed.OLD_S:
+            return streamed.UNFELT
         if not running:
-            return ENDED if self.touched else no_contact_fault(self._command.max_travel_mm)
+            return ENDED if self.touched else streamed.no_contact_fault(self._command.max_travel_mm)
         if now_s > self._ends_s:
-            return LATE if self._unloading is None else not_unloaded_fault(self._press_n)
+            return LATE if self._unloading is None else streamed.not_unloaded_fault(self._press_n)
         return None
 
     def _add_samples(self, t_s: FloatArray, force_n: FloatArray) -> bool:
@@ -228,7 +217,9 @@ class ForceProgram:
             }
         )
         before = air()
-        motion = ArmPress({**press_fields(command), "damping_n_s_mm": self._settings.fsc.damping})
+        motion = ArmPress(
+            {**streamed.press_fields(command), "damping_n_s_mm": self._settings.fsc.damping}
+        )
         self._press = ControllerPress(motion, command, before, self._settings.probe_margin_s)
         return motion
 
@@ -236,7 +227,7 @@ class ForceProgram:
         """Command the program to lift; raises ``FaultError`` unless its press had contact."""
         press = self._press
         if press is None or not press.holds(now_s):
-            raise FaultError(NOT_PRESSING)
+            raise FaultError(streamed.NOT_PRESSING)
         motion = CommandedMotion({"force_n": force_n, "speed_mm_s": speed_mm_s})
         for name, value in (
             ("MDUNL", UNLOAD_SHARE * force_n), ("MDUSP", speed_mm_s), ("MDO", UNLOAD),

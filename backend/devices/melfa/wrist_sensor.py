@@ -10,14 +10,7 @@ import threading
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import InputError
-from touchdown.backend.devices.force_torque import (
-    DatagramDriver,
-    SensorDescription,
-    SensorLink,
-    WrenchReading,
-    ask,
-    pause,
-)
+from touchdown.backend.devices import force_torque
 from touchdown.backend.devices.framing import ProtocolError, wrench_of
 from touchdown.backend.devices.melfa import realtime_protocol
 from touchdown.backend.devices.melfa.realtime_protocol import (
@@ -35,7 +28,7 @@ from touchdown.backend.devices.protocols import Identity
 SETTLE_S = 0.05
 
 
-class MelfaWrenchDriver(DatagramDriver):
+class MelfaWrenchDriver(force_torque.DatagramDriver):
     """Old and repeated packets are dropped by their counter; a gap counts as lost."""
 
     baud = 0
@@ -60,23 +53,25 @@ class MelfaWrenchDriver(DatagramDriver):
         """Return the address of the monitor on the arm's controller."""
         return f"udp://{settings.melfa.host}:{settings.melfa.monitor.port}"
 
-    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+    def start(
+        self, link: force_torque.SensorLink, cancel: threading.Event
+    ) -> force_torque.SensorDescription:
         """End an old stream, start one, and wait for the force."""
         self.stop(link)
-        pause(cancel, SETTLE_S)
+        force_torque.pause(cancel, SETTLE_S)
         link.drain()
         self._last = None
         types = (self._number, 0, 0, 0)
-        ask(
+        force_torque.ask(
             link,
             cancel,
             realtime_protocol.encode_monitor_request(MonitorRequest(START, types)),
             self._started,
         )
         identity = Identity("Mitsubishi Electric", "force sense", self._address, "")
-        return SensorDescription(identity, self._rated, CYCLE_S, numbered=True)
+        return force_torque.SensorDescription(identity, self._rated, CYCLE_S, numbered=True)
 
-    def take(self, data: bytes) -> list[WrenchReading]:
+    def take(self, data: bytes) -> list[force_torque.WrenchReading]:
         """Return the sample of one datagram, unless it is old."""
         reply = self.decoded(data, self._decode)
         missed = None if reply is None else self.missed(reply.counter)
@@ -84,9 +79,9 @@ class MelfaWrenchDriver(DatagramDriver):
             return []
         block = reply.blocks[0]
         assert isinstance(block, AxisValues)
-        return [WrenchReading(wrench_of(block.axes), missed)]
+        return [force_torque.WrenchReading(wrench_of(block.axes), missed)]
 
-    def stop(self, link: SensorLink) -> None:
+    def stop(self, link: force_torque.SensorLink) -> None:
         """Stop the stream; sent three times, because a datagram may be lost."""
         for _ in range(3):
             link.write(realtime_protocol.encode_monitor_request(MonitorRequest(END)))

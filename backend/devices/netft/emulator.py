@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from touchdown.backend import emulation
 from touchdown.backend.devices.framing import ProtocolError
 from touchdown.backend.devices.netft import protocol
 from touchdown.backend.devices.netft.protocol import (
@@ -16,17 +17,6 @@ from touchdown.backend.devices.netft.protocol import (
     Calibration,
     RdtCommand,
     RdtRecord,
-)
-from touchdown.backend.emulation import (
-    BenchTables,
-    EmulatedDevice,
-    Emulation,
-    EmulationChoice,
-    Faults,
-    SampleSchedule,
-    TcpServer,
-    UdpServer,
-    apply_faults,
 )
 
 PER_UNIT = 1_000_000
@@ -42,7 +32,7 @@ class EmulatedNetFt:
 
     def __init__(self, wrench: Callable[[float], Sequence[float]]) -> None:
         self._wrench = wrench
-        self.pace = SampleSchedule()
+        self.pace = emulation.SampleSchedule()
         self._left: int | None = None
         self._sequence = self._ft_sequence = 0
         self._bias: tuple[int, ...] = (0,) * 6
@@ -86,7 +76,7 @@ class EmulatedNetFt:
         return RdtRecord(self._sequence, self._ft_sequence, status, counts)
 
 
-class _Answering(EmulatedDevice):
+class _Answering(emulation.EmulatedDevice):
     """A device that answers whole requests and sends nothing by itself."""
 
     def __init__(self) -> None:
@@ -134,16 +124,18 @@ class EmulatedPage(_Answering):
         return head % (status, len(body)) + body
 
 
-def emulate_netft(choice: EmulationChoice, faults: Faults) -> Emulation:
+def emulate_netft(
+    choice: emulation.EmulationChoice, faults: emulation.Faults
+) -> emulation.Emulation:
     """Serve the datagrams on the port, the TCP channel on the port below, the page above."""
     port = choice.network_port()
-    sensor = EmulatedNetFt(apply_faults(choice.wrench, faults))
+    sensor = EmulatedNetFt(emulation.apply_faults(choice.wrench, faults))
     sensor.pace.faults = faults
-    front = UdpServer(sensor, choice.host, port, faults=faults)
-    channel = TcpServer(EmulatedCalibration(), choice.host, port - 1 if port else 0)
-    page = TcpServer(EmulatedPage(), choice.host, port + 1 if port else 0)
-    tables: BenchTables = {
+    front = emulation.UdpServer(sensor, choice.host, port, faults=faults)
+    channel = emulation.TcpServer(EmulatedCalibration(), choice.host, port - 1 if port else 0)
+    page = emulation.TcpServer(EmulatedPage(), choice.host, port + 1 if port else 0)
+    tables: emulation.BenchTables = {
         "ft": {"driver": "netft", "address": front.url},
         "netft": {"tcp_port": channel.address[1], "http_port": page.address[1]},
     }
-    return Emulation((front, channel, page), tables)
+    return emulation.Emulation((front, channel, page), tables)

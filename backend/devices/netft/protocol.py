@@ -12,13 +12,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-from touchdown.backend.devices.framing import (
-    ProtocolError,
-    Wrench,
-    range_errors,
-    require_length,
-    wrench_of,
-)
+from touchdown.backend.devices import framing
 
 HEADER = 0x1234
 RECORD_BYTES = 36
@@ -59,10 +53,10 @@ class RdtRecord:
     status: int
     counts: tuple[int, ...]
 
-    def wrench(self, counts_per_n: float, counts_per_nm: float) -> Wrench:
+    def wrench(self, counts_per_n: float, counts_per_nm: float) -> framing.Wrench:
         """Scale by the calibration of the sensor."""
         forces, torques = self.counts[:3], self.counts[3:]
-        return wrench_of(
+        return framing.wrench_of(
             [*(c / counts_per_n for c in forces), *(c / counts_per_nm for c in torques)]
         )
 
@@ -80,22 +74,22 @@ class Calibration:
 
 def encode_request(request: RdtRequest) -> bytes:
     """Return the 8 bytes."""
-    with range_errors("rdt request", 2):
+    with framing.range_errors("rdt request", 2):
         return _REQUEST.pack(HEADER, request.command, request.count)
 
 
 def decode_request(data: bytes) -> RdtRequest:
     """Return the request of one datagram; raises ``ProtocolError``."""
-    require_length(data, _REQUEST.size, "rdt request")
+    framing.require_length(data, _REQUEST.size, "rdt request")
     header, command, count = _REQUEST.unpack(data)
     if header != HEADER:
-        raise ProtocolError("header", "rdt request")
+        raise framing.ProtocolError("header", "rdt request")
     return RdtRequest(command, count)
 
 
 def encode_records(records: tuple[RdtRecord, ...]) -> bytes:
     """Return one datagram."""
-    with range_errors("rdt record"):
+    with framing.range_errors("rdt record"):
         return b"".join(
             _RECORD.pack(r.rdt_sequence, r.ft_sequence, r.status, *r.counts) for r in records
         )
@@ -104,7 +98,7 @@ def encode_records(records: tuple[RdtRecord, ...]) -> bytes:
 def decode_records(data: bytes) -> tuple[RdtRecord, ...]:
     """Return the records of one datagram, one or (buffered) several; raises ``ProtocolError``."""
     if not data or len(data) % RECORD_BYTES:
-        raise ProtocolError("length", "rdt record", len(data))
+        raise framing.ProtocolError("length", "rdt record", len(data))
     rows = _RECORD.iter_unpack(data)
     return tuple(RdtRecord(rdt, ft, status, tuple(counts)) for rdt, ft, status, *counts in rows)
 
@@ -113,20 +107,20 @@ def encode_calibration(calibration: Calibration) -> bytes:
     """Return the answer on the TCP channel."""
     units = calibration.force_unit, calibration.torque_unit
     counts = calibration.counts_per_n, calibration.counts_per_nm
-    with range_errors("netft calibration"):
+    with framing.range_errors("netft calibration"):
         return _CALIBRATION.pack(HEADER, *units, *counts, *calibration.scale)
 
 
 def decode_calibration(data: bytes) -> Calibration:
     """Return the calibration; refuses units other than N and N·m."""
-    require_length(data, _CALIBRATION.size, "netft calibration")
+    framing.require_length(data, _CALIBRATION.size, "netft calibration")
     header, force_unit, torque_unit, per_n, per_nm, *scale = _CALIBRATION.unpack(data)
     if header != HEADER:
-        raise ProtocolError("header", "netft calibration")
+        raise framing.ProtocolError("header", "netft calibration")
     if (force_unit, torque_unit) != (UNIT_NEWTON, UNIT_NEWTON_METRE):
-        raise ProtocolError("unit", "netft calibration", 2)
+        raise framing.ProtocolError("unit", "netft calibration", 2)
     if not per_n or not per_nm:
-        raise ProtocolError("range", "netft calibration", 4)
+        raise framing.ProtocolError("range", "netft calibration", 4)
     return Calibration(force_unit, torque_unit, per_n, per_nm, tuple(scale))
 
 
@@ -136,15 +130,15 @@ def decode_page(page: bytes) -> tuple[float, float]:
     def field(name: bytes) -> bytes:
         found = re.search(b"<" + name + rb">\s*([^<>\s]{1,20})\s*</" + name + b">", page)
         if found is None:
-            raise ProtocolError("field", f"netft page, {name.decode()}")
+            raise framing.ProtocolError("field", f"netft page, {name.decode()}")
         return found[1]
 
     if field(b"scfgfu") != b"N" or field(b"scfgtu") not in (b"N-m", b"Nm"):
-        raise ProtocolError("unit", "netft page")
+        raise framing.ProtocolError("unit", "netft page")
     try:
         counts = float(field(b"cfgcpf")), float(field(b"cfgcpt"))
     except ValueError as error:
-        raise ProtocolError("number", "netft page") from error
+        raise framing.ProtocolError("number", "netft page") from error
     if not all(math.isfinite(count) and count > 0 for count in counts):
-        raise ProtocolError("range", "netft page")
+        raise framing.ProtocolError("range", "netft page")
     return counts

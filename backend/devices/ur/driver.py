@@ -27,6 +27,7 @@ from touchdown.backend.core import (
     rotation_angle_rad,
     rotation_from_vector,
 )
+from touchdown.backend.devices import streamed
 from touchdown.backend.devices.protocols import (
     ARM,
     NOT_CONNECTED,
@@ -48,17 +49,6 @@ from touchdown.backend.devices.protocols import (
     Vector,
     arm_fault,
     servo_off_fault,
-)
-from touchdown.backend.devices.streamed import (
-    CycleInput,
-    JogProgram,
-    LoopDelays,
-    MotionProgram,
-    PositionRecord,
-    StreamedPrograms,
-    TravelProgram,
-    air_before,
-    tilted_fault,
 )
 from touchdown.backend.devices.ur import rtde
 
@@ -94,7 +84,7 @@ class ServoCore:
     """Active program and command; the owner calls ``step`` once per cycle."""
 
     def __init__(self) -> None:
-        self.program: MotionProgram | None = None
+        self.program: streamed.MotionProgram | None = None
         self.command_mm, self.measured_mm = np.zeros(3), np.zeros(3)
         self._velocity_mm_s = np.zeros(3)
 
@@ -104,7 +94,7 @@ class ServoCore:
         self.command_mm, self.measured_mm = measured_mm.copy(), measured_mm.copy()
         self._velocity_mm_s = np.zeros(3)
 
-    def run(self, program: MotionProgram) -> None:
+    def run(self, program: streamed.MotionProgram) -> None:
         """Replace the active program."""
         if self.program is not None:
             self.program.motion.end(REPLACED)
@@ -114,7 +104,7 @@ class ServoCore:
         """Brake from the present speed to standstill."""
         if self.program is not None:
             self.program.motion.end(STOPPED)
-            self.program = JogProgram(CommandedMotion({}), self._velocity_mm_s)
+            self.program = streamed.JogProgram(CommandedMotion({}), self._velocity_mm_s)
 
     def end(self, fault: Fault) -> None:
         """Stop at once; the command becomes the measured position."""
@@ -131,7 +121,7 @@ class ServoCore:
         self.measured_mm = measured_mm
         if self.program is None:
             return self.command_mm
-        felt = CycleInput(
+        felt = streamed.CycleInput(
             now_s, cycle_s, self.command_mm, measured_mm, samples.t_s, samples.values[:, :3]
         )
         after_mm = self.program.next_mm(felt)
@@ -219,12 +209,12 @@ class UrArm:
     ) -> None:
         self._settings, self._now_s, self._open = settings.ur, now_s, open_with
         self._wrench, self._cursor = wrench, 0
-        self._measured = PositionRecord(now_s, poses)
+        self._measured = streamed.PositionRecord(now_s, poses)
         # Measured position of ``G``, mm in the bench frame, once per cycle.
         self.poses = self._measured.poses
         self._placing, self._cycle_s = UrPlacement(settings.ur), 1.0 / settings.ur.rate_hz
         lags_s = 1e-3 * settings.ur.arm_lag_ms, 1e-3 * settings.ur.sensor_lag_ms
-        self._orders = StreamedPrograms(LoopDelays(self._cycle_s, *lags_s))
+        self._orders = streamed.StreamedPrograms(streamed.LoopDelays(self._cycle_s, *lags_s))
         self._core = ServoCore()
         self._robot: rtde.UrConnections | None = None
         self._rotation = np.zeros(3)
@@ -314,7 +304,7 @@ class UrArm:
         cosine = -float(rotation_from_vector(self._rotation)[2, 2])
         lean_rad = math.acos(max(-1.0, min(1.0, cosine)))
         if lean_rad > LEVEL_TOLERANCE_RAD:
-            raise FaultError(tilted_fault(lean_rad, "teach pendant"))
+            raise FaultError(streamed.tilted_fault(lean_rad, "teach pendant"))
         self._core.begin(self._placing.pivot_mm(pose))
         self.steps.reached("configure")
         self._cursor = self._wrench.count
@@ -480,7 +470,7 @@ class UrArm:
             place = dict(zip(AXES, goal.tolist(), strict=True))
             motion = CommandedMotion({**place, "speed_mm_s": speed_mm_s})
             self._orders.leave()
-            self._core.run(TravelProgram(motion, goal, speed_mm_s))
+            self._core.run(streamed.TravelProgram(motion, goal, speed_mm_s))
             return motion
 
     def jog(
@@ -515,7 +505,7 @@ class UrArm:
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly, straight down."""
         self._require_ready()
-        before = air_before(self._wrench, self._now_s())
+        before = streamed.air_before(self._wrench, self._now_s())
         with self._lock:
             return self._orders.press(self._core, command, before)
 

@@ -19,13 +19,7 @@ from typing import Any, TypeAlias
 
 from touchdown.backend.config import HardwareSettings
 from touchdown.backend.core import FaultError
-from touchdown.backend.devices.force_torque import (
-    DatagramDriver,
-    NotAnsweredError,
-    SensorDescription,
-    SensorLink,
-    WrenchReading,
-)
+from touchdown.backend.devices import force_torque
 from touchdown.backend.devices.framing import ProtocolError, wrench_of
 from touchdown.backend.devices.protocols import Identity, arm_fault
 
@@ -174,7 +168,7 @@ class RtdeLink:
         self._source.disconnect()
 
 
-def open_rtde(settings: HardwareSettings, address: str) -> SensorLink:
+def open_rtde(settings: HardwareSettings, address: str) -> force_torque.SensorLink:
     """Open ``address`` (``rtde://host``); raises ``OSError``."""
     rate_hz = settings.ur.rate_hz
     try:
@@ -193,7 +187,7 @@ def _decode_sample(data: bytes) -> tuple[float, ...]:
     return sample
 
 
-class UrWrenchDriver(DatagramDriver):
+class UrWrenchDriver(force_torque.DatagramDriver):
     """A gap in the robot's time stamps counts as lost samples."""
 
     baud = 0
@@ -210,20 +204,22 @@ class UrWrenchDriver(DatagramDriver):
         """Return the address of the arm's own sensor."""
         return SCHEME + settings.ur.host
 
-    def open_link(self) -> SensorLink:
+    def open_link(self) -> force_torque.SensorLink:
         """Open the connection of the ``ur_rtde`` package; raises ``OSError``."""
         return open_rtde(self._settings, self._address)
 
-    def start(self, link: SensorLink, cancel: threading.Event) -> SensorDescription:
+    def start(
+        self, link: force_torque.SensorLink, cancel: threading.Event
+    ) -> force_torque.SensorDescription:
         """Wait for the first sample; the sensor is always on."""
         if cancel.is_set() or not self.take(link.read(START_S)):
-            raise NotAnsweredError("The robot tells no wrench of its own sensor")
+            raise force_torque.NotAnsweredError("The robot tells no wrench of its own sensor")
         identity = Identity(
             "Universal Robots", "built-in F/T", self._address.removeprefix(SCHEME), ""
         )
-        return SensorDescription(identity, self._rated, self._period_s, numbered=True)
+        return force_torque.SensorDescription(identity, self._rated, self._period_s, numbered=True)
 
-    def take(self, data: bytes) -> list[WrenchReading]:
+    def take(self, data: bytes) -> list[force_torque.WrenchReading]:
         """Return the sample; rejected if a number is not finite."""
         sample = self.decoded(data, _decode_sample)
         if sample is None:
@@ -231,7 +227,7 @@ class UrWrenchDriver(DatagramDriver):
         told_s, *values = sample
         periods = round((told_s - self._told_s) / self._period_s) if self._told_s < told_s else 1
         self._told_s = told_s
-        return [WrenchReading(wrench_of(values), max(periods - 1, 0))]
+        return [force_torque.WrenchReading(wrench_of(values), max(periods - 1, 0))]
 
-    def stop(self, link: SensorLink) -> None:
+    def stop(self, link: force_torque.SensorLink) -> None:
         """Do nothing: the robot always sends."""

@@ -19,14 +19,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from touchdown.backend.config import (
-    Probability,
-    Settings,
-    StackSettings,
-    first_error,
-    read_json_model,
-    sha256_of_json,
-)
+from touchdown.backend import config
 from touchdown.backend.core import InputError, append_line, disk_errors, write_atomically
 
 TOTAL_ERROR = 0.05  # error probability of all attempts of one log together
@@ -91,27 +84,27 @@ def attempt_error(number: int, levels: int = 1) -> float:
     return float(TOTAL_ERROR / 2.0**number / levels)
 
 
-def method_sha256(method: StackSettings) -> str:
+def method_sha256(method: config.StackSettings) -> str:
     """Return the hash of the settings that shape a release of ``fused``, without file and risk."""
     content = method.model_dump(mode="json", include={"probe", "policy", "fused", "release"})
     for name in ("weights", "risk"):
         del content["fused"][name]
-    return sha256_of_json(content)
+    return config.sha256_of_json(content)
 
 
-class ReleaseCounts(Settings):
+class ReleaseCounts(config.Settings):
     """Outcomes of the scenes at one risk, and the bound of the unsafe among the releases.
 
     ``harmed``: unsafe releases and pieces knocked over before.
     """
 
-    risk: Probability
+    risk: config.Probability
     scenes: Count
     releases: Count
     unsafe: Count
     placed: Count
     harmed: Count
-    error: Probability
+    error: config.Probability
     bound: Annotated[float, Field(gt=0, le=1)]
 
     @classmethod
@@ -142,7 +135,7 @@ class ReleaseCounts(Settings):
         return self
 
 
-class Attempt(Settings):
+class Attempt(config.Settings):
     """Line of the log: an attempt that began, or the same one with its counts.
 
     ``seed``: first one of ``scenes`` seeds for each of ``risks``; 0 where trials are named in
@@ -157,8 +150,8 @@ class Attempt(Settings):
     weights_sha256: Digest
     method_sha256: Digest
     family: str
-    risks: Annotated[tuple[Probability, ...], Field(min_length=1)]
-    limit: Probability
+    risks: Annotated[tuple[config.Probability, ...], Field(min_length=1)]
+    limit: config.Probability
     scenes: Annotated[int, Field(ge=1)]
     seed: Count = 0
     trials: tuple[str, ...] = ()
@@ -214,7 +207,9 @@ class AttemptLog:
             try:
                 line = Attempt.model_validate_json(raw)
             except ValidationError as error:
-                raise _bad_log(where, f"The line is damaged: {first_error(error)}") from error
+                raise _bad_log(
+                    where, f"The line is damaged: {config.first_error(error)}"
+                ) from error
             if line.previous != sha256(before).hexdigest():
                 raise _bad_log(where, "A line before this one was changed or removed")
             begun = found.get(line.number)
@@ -278,7 +273,7 @@ def _bad_log(where: str, what: str) -> InputError:
     return InputError(f"{what}.", where, LOG_FIX)
 
 
-class ReleaseCertificate(Settings):
+class ReleaseCertificate(config.Settings):
     """File beside a checkpoint: the attempt that bounds the unsafe releases at one ``risk``.
 
     ``pieces`` and ``bottoms`` are the covered names; no bottoms: any of the family.
@@ -286,7 +281,7 @@ class ReleaseCertificate(Settings):
 
     format: Literal["touchdown-certificate/1"] = "touchdown-certificate/1"
     attempt: Attempt
-    risk: Probability
+    risk: config.Probability
     simulated: bool
     pieces: tuple[str, ...]
     bottoms: tuple[str, ...] = ()
@@ -346,7 +341,7 @@ def write_certificate(folder: Path, name: str, certificate: ReleaseCertificate) 
 
 def read_certificate(path: Path) -> ReleaseCertificate:
     """Read a certificate and check its bound; raises ``InputError`` for a damaged file."""
-    return read_json_model(ReleaseCertificate, path, MAX_BYTES, "Certify the model again.")
+    return config.read_json_model(ReleaseCertificate, path, MAX_BYTES, "Certify the model again.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,7 +355,7 @@ class ReleaseClaim:
     bench: str
     bench_sha256: str
     weights_sha256: str
-    method: StackSettings
+    method: config.StackSettings
     piece: str
     bottoms: tuple[str, ...]
     folders: tuple[Path, ...]

@@ -7,15 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from touchdown.backend.core import (
-    FINGERS,
-    Decimator,
-    Finger,
-    FloatArray,
-    ImageArray,
-    ManualClock,
-    RawStreams,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import Device, DeviceState
 from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.arm import SimArm
@@ -35,22 +27,22 @@ class SimulatedBench:
         self,
         scene: Scene,
         script: DisturbanceScript | None = None,
-        streams: RawStreams | None = None,
+        streams: core.RawStreams | None = None,
     ) -> None:
         self.scene = scene
         self._script = script or DisturbanceScript()
-        streams = streams or RawStreams.new()
+        streams = streams or core.RawStreams.new()
         streams.clear()
-        self.clock = ManualClock()
+        self.clock = core.ManualClock()
         self._world = World(scene, self._script)
         now_s = self.clock.now_s
         self.arm = SimArm(self._world, streams.poses, streams.commands, now_s)
         self.gripper = SimGripper(self._world, now_s)
-        self._thinned = Decimator()
+        self._thinned = core.Decimator()
         self.force_torque = SimForceTorque(streams.samples, now_s, scene.settings.wrist.rate_hz)
-        self.tactile: Mapping[Finger, SimTactile] = {
+        self.tactile: Mapping[core.Finger, SimTactile] = {
             finger: SimTactile(finger, streams.frames[finger], now_s, self._script)
-            for finger in FINGERS
+            for finger in core.FINGERS
         }
 
     @property
@@ -74,7 +66,7 @@ class SimulatedBench:
         """Advance time by ``step_us``; the world moves at the boundaries of its cycles."""
         end_us = self.clock.now_us + step_us
         while (cycles := (end_us - self._world.now_us) // self._world.cycle_us) > 0:
-            watched = [f for f in FINGERS if self.tactile[f].state is DeviceState.READY]
+            watched = [f for f in core.FINGERS if self.tactile[f].state is DeviceState.READY]
             cycles = min(cycles, CYCLES_AT_ONCE) if self._world.rests else 1
             sensed = self._world.step(watched, cycles)
             self.clock.advance(sensed.end_us - self.clock.now_us)
@@ -89,7 +81,7 @@ class SimulatedBench:
         """Return the ground truth; ``animate`` adds the motion of a fall if possible."""
         return self._world.truth(animate=animate)
 
-    def scene_picture(self) -> ImageArray:
+    def scene_picture(self) -> core.ImageArray:
         """Return the present image of the scene camera: (h, w, 3) BGR."""
         truth, holding = self._world.truth(), self._world.holding
         height_mm = self.scene.start_height_mm
@@ -110,10 +102,12 @@ class SimulatedBench:
         for part in np.arange(len(times_s)).reshape(cycles, -1):
             part = part if heard else part[:0]
             self._world.hear(times_s[part], wrench[part, 2])
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             self.tactile[finger].deliver(sensed.shots[finger])
 
-    def _disturbed(self, sensed: CycleRecord, t_s: float) -> tuple[FloatArray, FloatArray]:
+    def _disturbed(
+        self, sensed: CycleRecord, t_s: float
+    ) -> tuple[core.FloatArray, core.FloatArray]:
         """Return times and values of the wrist samples with the scripted disturbances."""
         script, name = self._script, "force_torque"
         if not script.disturbances:

@@ -6,16 +6,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
+from touchdown.backend import devices
 from touchdown.backend.core import Fault, FaultError
-from touchdown.backend.devices import (
-    ArrivalCounter,
-    CommandedMotion,
-    DeviceState,
-    Health,
-    Identity,
-    not_connected_fault,
-    replaced_fault,
-)
 
 
 class SimDevice:
@@ -23,29 +15,31 @@ class SimDevice:
 
     def __init__(self, name: str, model: str, now_s: Callable[[], float]) -> None:
         self.name, self._model, self._now_s = name, model, now_s
-        self.state = DeviceState.CLOSED
-        self.identity: Identity | None = None  # None before the first connection
-        self._arrivals, self._lost = ArrivalCounter(), 0
+        self.state = devices.DeviceState.CLOSED
+        self.identity: devices.Identity | None = None  # None before the first connection
+        self._arrivals, self._lost = devices.ArrivalCounter(), 0
         self._counting, self._lock = threading.Lock(), threading.Lock()
-        self._motion: CommandedMotion | None = None
+        self._motion: devices.CommandedMotion | None = None
 
     @property
     def ready(self) -> bool:
         """True if the device is connected."""
-        return self.state is DeviceState.READY
+        return self.state is devices.DeviceState.READY
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect immediately; no effect if connected."""
         with self._counting:
             if self.ready:
                 return
-            self.identity = Identity("Touchdown", self._model, f"SIM-{self.name}", "simulated")
-            self._arrivals, self._lost = ArrivalCounter(), 0
-            self.state = DeviceState.READY
+            self.identity = devices.Identity(
+                "Touchdown", self._model, f"SIM-{self.name}", "simulated"
+            )
+            self._arrivals, self._lost = devices.ArrivalCounter(), 0
+            self.state = devices.DeviceState.READY
 
     def close(self) -> None:
         """Close; no effect if closed."""
-        self.state = DeviceState.CLOSED
+        self.state = devices.DeviceState.CLOSED
 
     def arrived(self, t_s: float, count: int, lost: int = 0) -> None:
         """Count ``count`` samples, the newest stamped ``t_s``, and ``lost`` before them."""
@@ -54,7 +48,7 @@ class SimDevice:
             self._lost += lost
 
     @property
-    def health(self) -> Health:
+    def health(self) -> devices.Health:
         """Rate over the last second of bench time, age of the newest sample, counts."""
         now_s = self._now_s()
         health = self._arrivals.health(now_s, self._lost)
@@ -66,12 +60,12 @@ class SimDevice:
             self._motion.end(fault)
             self._motion = None
 
-    def _start_motion(self, motion: CommandedMotion) -> CommandedMotion:
-        self._end_motion(replaced_fault(self.name))
+    def _start_motion(self, motion: devices.CommandedMotion) -> devices.CommandedMotion:
+        self._end_motion(devices.replaced_fault(self.name))
         self._motion = motion
         return motion
 
     def require_ready(self) -> None:
         """Raise ``FaultError`` unless connected."""
         if not self.ready:
-            raise FaultError(not_connected_fault(self.name))
+            raise FaultError(devices.not_connected_fault(self.name))

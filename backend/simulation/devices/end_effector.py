@@ -8,18 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Decimator,
-    Fault,
-    Finger,
-    FloatArray,
-    ImageArray,
-    LazyFrame,
-    SampleStream,
-    Stream,
-    TactileFrame,
-    require_unrotated,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import (
     ArrivalMonitor,
     CommandedMotion,
@@ -63,7 +52,7 @@ class SimGripper(SimDevice):
     def grip(self, force_n: float) -> CommandedMotion:
         """Close until the piece is held with ``force_n`` per finger; refused on a rotated hand."""
         self.require_ready()
-        require_unrotated(self._world.drive.turn)
+        core.require_unrotated(self._world.drive.turn)
         if not 0.0 < force_n < float("inf"):
             raise ValueError("the grip force must be positive")
         with self._lock:
@@ -111,16 +100,16 @@ class SimTactile(SimDevice):
 
     def __init__(
         self,
-        finger: Finger,
-        frames: Stream[TactileFrame],
+        finger: core.Finger,
+        frames: core.Stream[core.TactileFrame],
         now_s: Callable[[], float],
         script: DisturbanceScript,
     ) -> None:
         self.finger, self.frames, self._script = finger, frames, script
         super().__init__(f"tactile_{finger}", "simulated tactile finger", now_s)
-        self._thinned = Decimator()
+        self._thinned = core.Decimator()
         self._newest: int | None = None
-        self._frozen: ImageArray | None = None
+        self._frozen: core.ImageArray | None = None
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Connect immediately."""
@@ -145,13 +134,13 @@ class SimTactile(SimDevice):
                 continue
             lost = 0 if self._newest is None else shot.sequence - self._newest - 1
             self._newest = shot.sequence
-            frame: TactileFrame = LazyFrame(self.finger, shot.sequence, t_s, shot.develop)
+            frame: core.TactileFrame = core.LazyFrame(self.finger, shot.sequence, t_s, shot.develop)
             if self._script.disturbances:
-                frame = TactileFrame(self.finger, shot.sequence, t_s, self._seen(shot, t_s))
+                frame = core.TactileFrame(self.finger, shot.sequence, t_s, self._seen(shot, t_s))
             self.frames.put(t_s, frame)
             self.arrived(t_s, 1, lost)
 
-    def _seen(self, shot: Exposure, t_s: float) -> ImageArray:
+    def _seen(self, shot: Exposure, t_s: float) -> core.ImageArray:
         image = shot.develop()
         if self._script.active(self.name, "flicker", t_s):
             light = 1.0 + FLICKER * math.sin(1.3 * shot.sequence)
@@ -174,10 +163,10 @@ class SimForceTorque(SimDevice):
     """Untared samples Fx Fy Fz Tx Ty Tz in N and N·m, delivered in blocks of one cycle."""
 
     def __init__(
-        self, samples: SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
+        self, samples: core.SampleStream, now_s: Callable[[], float], usual_hz: float = 1000.0
     ) -> None:
         self.samples, self._usual_hz = samples, usual_hz  # NaN beyond the rated range
-        self.fault: Fault | None = None
+        self.fault: core.Fault | None = None
         self._pace = ArrivalMonitor(1.0 / usual_hz)
         super().__init__("force_torque", "simulated wrist sensor", now_s)
 
@@ -187,7 +176,7 @@ class SimForceTorque(SimDevice):
         super().connect(timeout_s, cancel)
 
     @property
-    def rated(self) -> FloatArray:
+    def rated(self) -> core.FloatArray:
         """(6,) rated range."""
         return np.array(RATED)
 
@@ -201,7 +190,7 @@ class SimForceTorque(SimDevice):
         rated = {"rated_n": RATED[0], "rated_nm": RATED[3]}
         return {"kind": "simulated", "usual_hz": self._usual_hz, **rated}
 
-    def deliver(self, t_s: FloatArray, values: FloatArray) -> bool:
+    def deliver(self, t_s: core.FloatArray, values: core.FloatArray) -> bool:
         """Put one block into the stream; return True if samples were delivered."""
         if self.state is DeviceState.CLOSED or not len(t_s):
             return False

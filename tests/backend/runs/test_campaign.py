@@ -16,6 +16,7 @@ from tests.app.label.conftest import make_episode
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import brisk_session, on
 from touchdown.app.collect.requests import apply_decision
+from touchdown.backend import core
 from touchdown.backend.annotations import Dataset, EpisodeFilter, Label
 from touchdown.backend.annotations.labels import LabelStore
 from touchdown.backend.config.method import StackSettings
@@ -34,7 +35,6 @@ from touchdown.backend.core.faults import Fault, FaultError, InputError
 from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry import circle, load_pieces, overlap_area_mm2, rectangle
-from touchdown.backend.runs import campaign as campaigns
 from touchdown.backend.runs import collector as collecting
 from touchdown.backend.runs.bench import PressedProbe
 from touchdown.backend.runs.campaign import (
@@ -412,7 +412,7 @@ def test_the_plan_waits_for_room_before_and_after_a_mounting(
     collect, tmp_path, monkeypatch, nth, room_made
 ):
     """Once for the new mounting, once for the skipped item."""
-    write, calls = campaigns.write_atomically, []
+    write, calls = core.write_atomically, []
 
     def full(path, content):
         calls.append(path)
@@ -420,7 +420,7 @@ def test_the_plan_waits_for_room_before_and_after_a_mounting(
             raise OSError(errno.ENOSPC, "No space left on device")
         write(path, content)
 
-    monkeypatch.setattr(campaigns, "write_atomically", full)
+    monkeypatch.setattr(core, "write_atomically", full)
     act = (lambda s: s.engine.resume()) if room_made else (lambda s: s.engine.cancel())
     facts, stored, error = collect(skip_the_probe, act, Paused)
     assert error is None

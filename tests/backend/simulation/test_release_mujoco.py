@@ -19,6 +19,7 @@ from tests.backend.simulation.release_cases import (
     ask_about_surface,
     ask_both,
 )
+from touchdown.backend import geometry
 from touchdown.backend.bench.assembly import simulated_session
 from touchdown.backend.config.method import ProbeSettings
 from touchdown.backend.core import Event, InputError, OnsetRule, Outcome, TrialFinished
@@ -540,7 +541,7 @@ def ended(margin_mm: float, fallen: bool, monkeypatch: pytest.MonkeyPatch) -> Tr
         ground_truth, "simulate_release", lambda *a, **k: (fallen, plain(*a, **k)[1])
     )
     monkeypatch.setattr(ground_truth, "true_margin_mm", lambda *_: margin_mm)
-    monkeypatch.setattr(ground_truth, "judge_tower", lambda *_, **__: TowerVerdict((margin_mm,)))
+    monkeypatch.setattr(geometry, "judge_tower", lambda *_, **__: TowerVerdict((margin_mm,)))
     session = simulated_session(brisk_bench(), method=brisk_method(), animate=True)
     ends: list[Event] = []
     session.events.subscribe(ends.append)

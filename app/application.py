@@ -335,8 +335,6 @@ class TouchdownApp(QObject):
 
         def check() -> None:
             self._closing.check_unused(self.bench)
-            if file.exists() and not file.is_file():  # a pipe would wait for its writer
-                raise core.InputError("This is not a file.", str(file), "Choose a TOML file.")
             load_lab(file) if is_lab_file(file) else SimulatedBenchChoice(file=file).settings()
 
         self.cards.clear(["BENCH-FILE"])

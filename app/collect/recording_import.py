@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
 from touchdown.backend import exchange
 from touchdown.backend.annotations import Dataset
-from touchdown.backend.core import InputError, data_folder, write_atomically
+from touchdown.backend.core import InputError, data_folder, read_limited, write_atomically
 from touchdown.widgets.base import Theme, count_noun, hbox, label, set_property, tr, vbox
 from touchdown.widgets.lists import FigureTable
 from touchdown.widgets.plots import CurveLine, SignalPlot
@@ -88,8 +88,11 @@ class RecordingSheet(BenchSheet):
             return
         if path.suffix == ".toml":
             # A file of another kind is shown, and refused by the preview in words.
-            read = partial(path.read_text, "utf-8", "replace")
-            self._run("Reading", lambda _: read(), self.mapping.setPlainText)
+            def text(_: Event) -> str:
+                content = read_limited(path, 1_000_000, "Name a TOML file below 1 MB.")
+                return content.decode("utf-8", "replace")
+
+            self._run("Reading", text, self.mapping.setPlainText)
         else:
             self._source = path
             self.file.setText(path.name)

@@ -23,6 +23,7 @@ from touchdown.app.stack.page import StackPage
 from touchdown.app.stack.presenter import stack_request
 from touchdown.backend import core
 from touchdown.backend.bench import Session
+from touchdown.backend.config import read_toml
 from touchdown.backend.runs import StackRequest
 from touchdown.widgets.base import KeylessList, count_noun, hbox, label, tr, vbox
 from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
@@ -52,9 +53,8 @@ def read_planned_runs(path: Path, panel: RunPanel) -> list[PlannedRun]:
     Raises ``InputError`` for entries that this form cannot hold.
     """
     try:
-        tables = core.parse_toml(path.read_bytes())["run"]
-        tables = list(json.loads(json.dumps(tables, default=str)))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        tables = list(json.loads(json.dumps(read_toml(path)["run"], default=str)))
+    except (ValueError, KeyError, TypeError) as error:
         raise core.InputError(tr("No [[run]] can be read: {}.", error), str(path), FIX) from error
     usual, runs = panel.form(), list[PlannedRun]()
     for number, table in enumerate(tables, start=1):

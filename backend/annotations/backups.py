@@ -20,7 +20,14 @@ from touchdown.backend.annotations.database import (
 )
 from touchdown.backend.annotations.operation_log import newest_operations
 from touchdown.backend.annotations.storage import WriterLock
-from touchdown.backend.core import Fault, FaultError, InputError, make_folder, sync_folder
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    InputError,
+    check_file,
+    make_folder,
+    sync_folder,
+)
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
 INTERVAL = timedelta(hours=1)
@@ -64,6 +71,7 @@ def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
 
 def check_backup(path: Path) -> Heads:
     """Check a backup with SQLite and return its heads; raises ``InputError`` if it is damaged."""
+    check_file(path, "Use another backup.")
     try:
         # Immutable: a finished copy is never written, so no -wal or -shm file is needed.
         address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"

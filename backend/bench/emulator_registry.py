@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from touchdown.backend.core import MARKERS, Finger, ImageArray, InputError
+from touchdown.backend.core import MARKERS, Finger, ImageArray, InputError, check_file
 from touchdown.backend.devices import emulated_makes
 from touchdown.backend.emulation import (
     BenchTables,
@@ -46,6 +46,7 @@ def recorded(path: Path, seed: int = 0) -> PictureFunction:
 
     Raises ``InputError`` if OpenCV reads neither.
     """
+    check_file(path, "Name a picture or a video.")
     still = cv2.imread(str(path)) if path.is_file() else None
     if still is not None:
         rng = np.random.default_rng(seed)

@@ -53,6 +53,7 @@ from .faults import TouchdownError as TouchdownError
 from .files import __version__ as __version__
 from .files import account_name as account_name
 from .files import append_line as append_line
+from .files import check_file as check_file
 from .files import check_writable as check_writable
 from .files import config_folder as config_folder
 from .files import data_folder as data_folder

@@ -172,9 +172,16 @@ def errors_as_input(
         raise InputError(f"{what}: {error}.", str(where), fix) from error
 
 
+def check_file(path: Path, fix: str) -> None:
+    """Raise ``InputError`` for a folder, and for a pipe or a device, which may never end."""
+    if path.exists() and not path.is_file():
+        raise InputError("This is not a file.", str(path), fix)
+
+
 def read_limited(path: Path, limit: int, fix: str) -> bytes:
     """Return a file of at most ``limit`` bytes; raises ``InputError`` with ``fix``."""
     with disk_errors("Cannot read the file", path, fix):
+        check_file(path, fix)
         if path.stat().st_size > limit:
             what = f"The file is too large: more than {limit / 1e6:g} MB."
             raise InputError(what, str(path), fix)

@@ -72,6 +72,8 @@ def read_foreign(
     Raises ``InputError`` for a file that is damaged, foreign, or not read within the deadline, and
     if it is ``cancelled``.
     """
+    if not source.is_dir():
+        core.check_file(source, "Name a file or a folder.")
     command = [sys.executable, "-m", "touchdown.backend.exchange.foreign_child", kind]
     with (
         tempfile.TemporaryDirectory(prefix="touchdown-import-") as folder,

@@ -209,9 +209,7 @@ def keep_photo(run: Path, trial: int, source: Path) -> Path:
     with core.disk_errors(
         "The picture cannot be kept", source, "Look at the file and at the disk."
     ):
-        if source.stat().st_size > MAX_BYTES:
-            raise core.InputError("The picture is too large.", str(source), fix)
-        content = source.read_bytes()
+        content = core.read_limited(source, MAX_BYTES, fix)
         if source.suffix.lower() not in PHOTO_SUFFIXES or not content.startswith(_BEGINS):
             raise core.InputError("This is no picture.", str(source), fix)
         name = f"trial-{trial:03d}-"

@@ -20,6 +20,7 @@ from touchdown.backend.core import (
     MarkerField,
     MarkerState,
     TactileFrame,
+    check_file,
 )
 from touchdown.backend.sensing.detector import HEIGHT_PX, WIDTH_PX
 
@@ -76,6 +77,7 @@ def _open_pictures(path: Path) -> tuple[float, Iterator[ImageArray]]:
         return DEFAULT_RATE_HZ, (_read_image(file) for file in _images_in(path))
     if path.suffix.lower() in IMAGE_SUFFIXES:
         return DEFAULT_RATE_HZ, iter([_read_image(path)])
+    check_file(path, _FIX)
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise InputError("This is neither a picture nor a video.", str(path), _FIX)
@@ -100,6 +102,7 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _read_image(path: Path) -> ImageArray:
+    check_file(path, _FIX)
     # Unlike imread, imdecode is silent on a broken file and accepts any path on Windows.
     data = np.frombuffer(path.read_bytes(), np.uint8)
     picture = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None

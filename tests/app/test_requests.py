@@ -1,6 +1,7 @@
 """The Stack page asks the operator of a trial on devices; keys and buttons answer."""
 
 import json
+import os
 from dataclasses import asdict
 
 import pytest
@@ -405,7 +406,7 @@ def test_on_devices_a_person_starts_every_run_and_stop_ends_the_row(live, bench,
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("", "No [[run]] can be read"), ("[[run]", "line 1, column 6"),
+    [("", "No [[run]] can be read"), (None, "This is not a file."), ("[[run]", "line 1, column 6"),
      ("run = [3]", "wrong entries: 3"),
      ('[[run]]\npiece = "moon"', "Run 1 has wrong entries: piece"),
      ("[[run]]\n[[run]]\ntrials = 0", "Run 2 has wrong entries: trials"),
@@ -414,8 +415,9 @@ def test_on_devices_a_person_starts_every_run_and_stop_ends_the_row(live, bench,
 )  # fmt: skip
 def test_a_file_of_runs_that_is_wrong_adds_none(live, row, tmp_path, text, said):
     form, before = live.workspaces["stack"].page.run.form(), list(row.runs)
-    (tmp_path / "wrong.toml").write_text(text)
-    row.add_file(tmp_path / "wrong.toml")
+    file = tmp_path / "wrong.toml"
+    os.mkfifo(file) if text is None else file.write_text(text)
+    row.add_file(file)
     assert said in live.cards.card("INPUT").text.what
     assert row.runs == before
     assert live.workspaces["stack"].page.run.form() == form

@@ -235,6 +235,14 @@ def test_a_recording_that_cannot_be_read_is_refused_in_words(page, sheet, tmp_pa
     sheet.take(broken)
     qtbot.waitUntil(lambda: "damaged or foreign" in sheet.note.text(), timeout=60_000)
     assert sheet.note.property("tone") == "bad"
+    for name in ("pipe.toml", "pipe.mcap"):
+        os.mkfifo(tmp_path / name)
+        sheet.note.clear()
+        sheet.take(tmp_path / name)
+        qtbot.waitUntil(lambda: "This is not a file." in sheet.note.text(), timeout=20_000)
+        qtbot.waitUntil(sheet.choose.isEnabled)
+    sheet.take(broken)
+    qtbot.waitUntil(lambda: "damaged or foreign" in sheet.note.text(), timeout=60_000)
     sheet.mapping.setPlainText(sheet.mapping.toPlainText().replace('unit = "m"', 'unit = "inch"'))
     look(page, sheet)
     assert "pose.unit" in sheet.note.text()

@@ -9,6 +9,8 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
+from contextlib import suppress
 from copy import copy
 from pathlib import Path
 
@@ -17,9 +19,11 @@ import pytest
 import touchdown
 from tests.backend.annotations.conftest import context_for, small_episode
 from touchdown.backend.annotations import Dataset, Label, read_run_info
+from touchdown.backend.annotations.backups import check_backup
 from touchdown.backend.annotations.geometry_records import GeometryStore
 from touchdown.backend.annotations.operation_log import read_journal
 from touchdown.backend.annotations.storage import ReadOnlyFolderError
+from touchdown.backend.bench.emulator_registry import recorded
 from touchdown.backend.calibration.records import read_record
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.settings import load_method
@@ -29,9 +33,12 @@ from touchdown.backend.core.faults import MAX_MESSAGE, InputError, RefusedError
 from touchdown.backend.core.files import MAX_DEPTH, parse_json, parse_toml, write_atomically
 from touchdown.backend.emulation.fault_plan import load_faults
 from touchdown.backend.exchange import read_coco, read_manifest
+from touchdown.backend.exchange.imports import read_foreign
 from touchdown.backend.geometry.pieces import read_piece
 from touchdown.backend.learning import load_card, load_samples
 from touchdown.backend.runs import read_campaign, read_events
+from touchdown.backend.runs.recorder import keep_photo
+from touchdown.backend.sensing import read_pictures
 
 OLD, NEW = b"old" * 1000, b"new" * 5000
 
@@ -190,6 +197,38 @@ def test_foreign_text_is_refused_shortly(name, what, tmp_path):
     assert isinstance(refused.value, InputError) or name == "journal.jsonl"
     assert len(str(refused.value)) < 1000
     assert "secret" not in str(refused.value)
+
+
+READ_WHOLE = {
+    "method.toml": load_method,
+    "backup.db": check_backup,
+    "picture.png": lambda path: list(read_pictures(path)),
+    "film.mp4": lambda path: list(read_pictures(path)),
+    "still.png": recorded,
+    "photo.png": lambda path: keep_photo(path.parent, 1, path),
+    "bag.mcap": lambda path: list(read_foreign("contents", path)),
+}
+
+
+@pytest.mark.parametrize("name", READ_WHOLE)
+def test_a_pipe_is_refused_before_it_is_opened(name, tmp_path):
+    pipe, done = tmp_path / name, threading.Event()
+    os.mkfifo(pipe)
+
+    def end_each_reading():
+        while not done.wait(0.02):
+            with suppress(OSError):  # nobody reads
+                os.close(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+
+    thread = threading.Thread(target=end_each_reading)
+    thread.start()
+    try:
+        with pytest.raises(InputError, match="This is not a file") as refused:
+            READ_WHOLE[name](pipe)
+    finally:
+        done.set()
+        thread.join()
+    assert refused.value.where == str(pipe)
 
 
 def test_a_message_is_bounded():

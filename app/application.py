@@ -184,8 +184,8 @@ class TouchdownApp(QObject):
         if bench is not None:
             bench.close()
 
-    def remember(self) -> None:
-        """Write the present settings; show a card if the disk refuses."""
+    def remember(self) -> bool:
+        """Write the present settings; show a card and return False if the disk refuses."""
         area = self.window.normalGeometry()
         settings = shell.WindowSettings(
             theme=self.look.choice,
@@ -201,6 +201,8 @@ class TouchdownApp(QObject):
             shell.save_settings(self._settings_file, settings)
         except OSError as error:
             self._disk_refused("saving the window settings", error)
+            return False
+        return True
 
     def _disk_refused(self, doing: str, error: OSError) -> None:
         self._box.exception(OSError, error, None, doing)
@@ -326,8 +328,16 @@ class TouchdownApp(QObject):
     def _start_again(self, file: Path) -> None:
         # The file may have changed since the question.
         if self._can_restart(file):
-            self.next_bench = file
-            self.window.close()
+            restart = partial(self._restart, file)
+            if self.remember():
+                restart()
+            else:
+                text = tr("The window settings cannot be saved. Restart without them?")
+                self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Restart", restart))))
+
+    def _restart(self, file: Path) -> None:
+        self.next_bench = file
+        self.window.close()
 
     def _can_restart(self, file: Path) -> bool:
         # Imported here, as the window appears before the simulated bench is loaded.

@@ -92,8 +92,8 @@ def pair_agreement_text(first: str, second: str, c: AgreementReport) -> str:
             )
             lines.append(", ".join(filter(None, said)))
     rest = [
-        _figure("RMS", c.rms_mm, " mm"),
-        _figure("patch IoU", c.patch_iou),
+        _figure("RMS", c.rms_mm, "{:.2f} mm"),
+        _figure("patch IoU", 100 * c.patch_iou, "{:.0f} %"),
         _figure("stability: kappa", c.kappa),
         _figure("alpha", c.alpha),
     ]
@@ -128,8 +128,8 @@ def _limits(lower: float, upper: float) -> str:
     return "" if math.isnan(lower) else limits
 
 
-def _figure(name: str, value: float, unit: str = "") -> str:
-    return "" if math.isnan(value) else f"{tr(name)} {value:.2f}{unit}"
+def _figure(name: str, value: float, form: str = "{:.2f}") -> str:
+    return "" if math.isnan(value) else f"{tr(name)} {form.format(value)}"
 
 
 class KeyboardLineEdit(QLineEdit):

@@ -176,7 +176,7 @@ class ReplayPresenter:
         if self.trial is None:
             return ""
         score = self.trial.score(self.trial.decided_s(probe), self._faces[1])
-        return "" if score is None or score.probe != probe else f"\nIoU {score.iou:.2f}"
+        return "" if score is None or score.probe != probe else f"\nIoU {100 * score.iou:.0f} %"
 
     def _scene(self, story: shell.TrialStory, index: int) -> views.BeliefScene:
         scene = shell.belief_scene(story, index, *self._faces)
@@ -253,5 +253,5 @@ def patch_score_text(score: PatchScore | None) -> str:
     """Return the fit of an estimate to the truth as text."""
     if score is None:
         return tr("Estimate against truth: not known here.")
-    figures = "Estimate against truth, probe {}: IoU {:.2f}, {:.0f} % of the points right"
-    return tr(figures, score.probe, score.iou, 100 * score.accuracy)
+    figures = "Estimate against truth, probe {}: IoU {:.0f} %, {:.0f} % of the points right"
+    return tr(figures, score.probe, 100 * score.iou, 100 * score.accuracy)

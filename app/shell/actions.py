@@ -230,7 +230,7 @@ class CommandDialogs:
 
     def __init__(
         self, window: QWidget, actions: ActionRegistry, go: Callable[[str], None],
-        changed: Callable[[], None],
+        changed: Callable[[], object],
     ) -> None:  # fmt: skip
         self._window, self._actions, self._go, self._changed = window, actions, go, changed
         self.sheet: KeySheet | None = None

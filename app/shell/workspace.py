@@ -50,7 +50,7 @@ class WorkspaceContext:
     say: Callable[[str], None]
     go: Callable[[str], None]
     keys: Callable[[], None]
-    remember: Callable[[], None]
+    remember: Callable[[], object]
     offer: Callable[[str, str, Callable[[], None]], None]
 
 

@@ -82,7 +82,7 @@ class PlannedRunsSheet(BenchSheet):
 
     def __init__(
         self, bench: Session, page: StackPage, cards: FaultCards,
-        begin: Callable[[StackRequest], bool], remember: Callable[[], None],
+        begin: Callable[[StackRequest], bool], remember: Callable[[], object],
         offer: Callable[[str], None],
     ) -> None:  # fmt: skip
         super().__init__(page.window(), "Runs in a row")

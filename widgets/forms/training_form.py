@@ -135,8 +135,9 @@ class TrainingFormPanel(Panel):
             ("Rate", self.rate, "Learning rate of the optimiser"),
             ("Seed", self.seed, "Seed of initial weights, order and split"),
         )
-        self.detail.setText(tr("support: p > 0.9"))
-        self.detail.setToolTip(tr("A face point above this probability is support (delta)"))
+        self.detail.setText(tr("Support above 90 %"))
+        tip = "A point of the face is support if its probability of contact is above 90 % (delta)"
+        self.detail.setToolTip(tr(tip))
         self.header.addWidget(self.defaults)
         # One row, to leave room for the table of the split.
         buttons = hbox((self.start, 1), self.cancel, self.resume, spacing=4)

@@ -173,7 +173,8 @@ class ReliabilityPlot(_TrainingPlot):
     """Share of points in contact over predicted probability; calibrated ones lie on the line."""
 
     def __init__(self, theme: Theme) -> None:
-        super().__init__(theme, "Share in contact over p")
+        super().__init__(theme, "True over predicted contact")
+        self.setToolTip(tr("Share of points in contact over the predicted probability of contact"))
 
     def show_lines(self, lines: Sequence[CurveLine]) -> None:
         """Show one line per run: (mean predicted probability, share in contact)."""

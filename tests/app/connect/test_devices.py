@@ -1,5 +1,6 @@
 """The device wizard: what is in sight is chosen and saved into the lab file."""
 
+import errno
 import os
 import shutil
 import sys
@@ -11,7 +12,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLabel, QScrollArea
 
+from tests.app.conftest import settle
 from tests.backend.rig.scripted import scripted
+from touchdown.app import shell
 from touchdown.app.__main__ import parser as start_parser
 from touchdown.app.connect.devices import FIELDS, LEFT, RIGHT
 from touchdown.app.start import command_with_bench, open_bench
@@ -302,5 +305,18 @@ def test_a_file_that_goes_between_question_and_restart_leaves_the_bench(live, fi
     file.write_text("")
     live.open_bench(file)
     assert "BENCH-FILE" not in live.cards.codes
+    live.cards.asks.answers[1][1]()
+    assert (live.next_bench, live.window.isVisible()) == (file, False)
+
+
+def test_settings_that_a_full_disk_refuses_hold_the_restart(live, file, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(shell, "save_settings", lambda path, told: raise_it(full))
+    live.open_bench(file)
+    live.cards.asks.answers[1][1]()
+    settle(live)
+    assert "No space left" in live.cards.card("BUG-OSERROR").text.what
+    assert live.cards.asks.text.startswith("The window settings cannot be saved.")
+    assert (live.next_bench, live.window.isVisible()) == (None, True)
     live.cards.asks.answers[1][1]()
     assert (live.next_bench, live.window.isVisible()) == (file, False)

@@ -76,7 +76,7 @@ def test_opinions_measure_agreement_and_change_no_label(desk, monkeypatch):
     assert "Ann minus Bob, 3 episodes" in words
     assert "x: bias +0.10 mm" in words
     assert "y: bias \N{MINUS SIGN}0.20 mm" in words
-    assert "RMS 0.22 mm" in words
+    assert re.search(r"RMS 0\.22 mm, patch IoU \d\d %", words)
     side, compare = desk.page.side, Dataset.compare
     periods = ("2026-11-25", 2, 0.5), ("2026-11-26", 1, 0.3)
     monkeypatch.setattr(Dataset, "compare", lambda *a: replace(compare(*a), periods=periods))

@@ -341,7 +341,10 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     estimate = f"Estimate: stands, {float(last['margin_mm']):+.1f} mm."
     assert review.page.decision._text.text().endswith(estimate)
     assert review.page.decision._result.text() == "\N{CHECK MARK} Placed", "not the estimate"
-    assert f"IoU {float(last['iou']):.2f}" in review.page.estimate.text()
+    assert f"IoU {100 * float(last['iou']):.0f} %, " in review.page.estimate.text()
+    assert (
+        f"IoU {100 * float(last['iou']):.0f} %" in review.page.strip.thumbnails[-1].caption.text()
+    )
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
     shown = QImage.fromData(picture)
     assert shown.width() == review.page.shown.width()

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from PySide6.QtCore import QPoint
+from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
 
 from tests.app.conftest import settle
@@ -21,8 +22,9 @@ from touchdown.app.train.text import (
 )
 from touchdown.backend.annotations import Dataset, Label
 from touchdown.backend.bench.assembly import model_in_use
+from touchdown.backend.config import StabilitySettings
 from touchdown.backend.learning.registry import HARDWARE_PROBES, SHIPPED_MODEL, ModelRegistry
-from touchdown.widgets.base.theme import Theme, load_resources
+from touchdown.widgets.base.theme import Theme, load_resources, ui_font
 from touchdown.widgets.forms.training_form import TrainingButtons, TrainingForm
 from touchdown.widgets.lists.tables import FigureTable, TrainingRow
 
@@ -251,6 +253,21 @@ def test_the_table_of_trainings_fits_a_window_of_1280_px(live):
     settle(live)
     assert table.isVisible()
     assert table.horizontalScrollBar().maximum() == 0
+
+
+def test_support_and_reliability_are_named_in_words_that_fit_1280_px(live):
+    live.window.resize(1280, 720)
+    live.go("train")
+    settle(live)
+    page = live.workspaces["train"].page
+    detail, plot = page.form.detail, page.reliability
+    assert detail.text() == f"Support above {100 * StabilitySettings().delta:.0f} %"
+    assert "probability of contact" in detail.toolTip()
+    assert detail.width() >= detail.sizeHint().width()
+    assert plot.accessibleName() == "True over predicted contact"
+    assert "Share of points in contact over the predicted probability" in plot.toolTip()
+    width = QFontMetrics(ui_font(live.theme.scale, 0.85, 500)).horizontalAdvance(plot.name)
+    assert width < plot.width() - 2.6 * plot.fontMetrics().height()
 
 
 @pytest.mark.parametrize("before", [None, SHIPPED_MODEL])

@@ -21,16 +21,8 @@ from touchdown.app.review.exports import probe_table
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.timing import TrialTimeline, split_into_trials
 from touchdown.app.shell import ModelPrelabeller, RunStory, SaveWorker, model_path_in_use
+from touchdown.backend import core
 from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
-from touchdown.backend.core import (
-    Event,
-    InputError,
-    Outcome,
-    RunFinished,
-    RunStarted,
-    TrialFinished,
-    parse_json,
-)
 from touchdown.backend.geometry import Outline, PieceLibrary, load_pieces
 from touchdown.backend.runs import EVENT_LOG_NAME, decode_event, event_log_path, read_events
 from touchdown.widgets.base import tr
@@ -39,7 +31,8 @@ from touchdown.widgets.views import OUTCOME_WORDS
 
 # Start of the log lines that are read here; other lines are skipped.
 _STARTS = tuple(
-    f'{{"kind":"{kind.__name__}",'.encode() for kind in (RunStarted, TrialFinished, RunFinished)
+    f'{{"kind":"{kind.__name__}",'.encode()
+    for kind in (core.RunStarted, core.TrialFinished, core.RunFinished)
 )
 
 ACTIVITIES = {"collect": "collecting", "probe": "single probe"}  # kinds of runs without trials
@@ -49,9 +42,9 @@ ACTIVITIES = {"collect": "collecting", "probe": "single probe"}  # kinds of runs
 class RunSummary:
     """Summary of a run: its start, the outcomes so far and its end, if any."""
 
-    head: RunStarted | None = None
-    outcomes: tuple[Outcome, ...] = ()
-    ended: RunFinished | None = None
+    head: core.RunStarted | None = None
+    outcomes: tuple[core.Outcome, ...] = ()
+    ended: core.RunFinished | None = None
 
     def text(self) -> str:
         """Return piece, bottom and outcomes as text."""
@@ -71,9 +64,9 @@ def read_run_summary(run: Path) -> RunSummary:
 
     An incomplete last line is ignored, as in ``read_journal``.
     """
-    head: RunStarted | None = None
-    ended: RunFinished | None = None
-    outcomes: list[Outcome] = []
+    head: core.RunStarted | None = None
+    ended: core.RunFinished | None = None
+    outcomes: list[core.Outcome] = []
     path = event_log_path(run)
     with path.open("rb") as file:
         for number, raw in enumerate(file, start=1):
@@ -81,24 +74,26 @@ def read_run_summary(run: Path) -> RunSummary:
                 continue
             where = tr("{}, line {}", path, number)
             try:
-                event = decode_event(parse_json(raw), where)
+                event = decode_event(core.parse_json(raw), where)
             except ValueError as error:
-                raise InputError("A line is not valid JSON.", where, "Open the run.") from error
-            if isinstance(event, RunStarted):
+                raise core.InputError(
+                    "A line is not valid JSON.", where, "Open the run."
+                ) from error
+            if isinstance(event, core.RunStarted):
                 head = event
-            elif isinstance(event, TrialFinished):
+            elif isinstance(event, core.TrialFinished):
                 outcomes.append(event.outcome)
-            elif isinstance(event, RunFinished):
+            elif isinstance(event, core.RunFinished):
                 ended = event
     return RunSummary(head, tuple(outcomes), ended)
 
 
-def activity_text(head: RunStarted) -> list[str]:
+def activity_text(head: core.RunStarted) -> list[str]:
     """Return the kind of a run without trials; nothing for a stacking run."""
     return [] if head.activity == "stack" else [tr(ACTIVITIES.get(head.activity, head.activity))]
 
 
-def _outcome_counts(outcomes: tuple[Outcome, ...]) -> list[str]:
+def _outcome_counts(outcomes: tuple[core.Outcome, ...]) -> list[str]:
     if len(outcomes) == 1:
         return [tr(OUTCOME_WORDS[outcomes[0]])]
     counts = Counter(outcomes).most_common()
@@ -279,7 +274,7 @@ def _described(folder: Path, known: tuple[int, str]) -> tuple[int, str]:
     try:
         size = (folder / EVENT_LOG_NAME).stat().st_size
         return known if size == known[0] else (size, read_run_summary(folder).text())
-    except (InputError, OSError):
+    except (core.InputError, OSError):
         return UNREAD, CANNOT
 
 
@@ -325,7 +320,7 @@ class ReviewDataset:
         for number, uuid in enumerate(uuids, start=1):
             try:
                 shown = self.episode(uuid)
-            except InputError:
+            except core.InputError:
                 continue
             yield shown.trial.numbered(number), self.face(shown.entry.bottom)
 
@@ -371,7 +366,7 @@ class RunReader:
     def read(self) -> ReadRun | None:
         """Return the run, None if reading was cancelled. Raises ``InputError`` or ``OSError``."""
         lines = _line_count(event_log_path(self._run))
-        story, events = RunStory(of_any=True), list[Event]()
+        story, events = RunStory(of_any=True), list[core.Event]()
         for event in read_events(self._run):
             if self._dropped:
                 return None

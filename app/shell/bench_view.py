@@ -14,15 +14,8 @@ from touchdown.app.shell.bench_text import tower_text
 from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.geometry import Piece
+from touchdown.widgets import views
 from touchdown.widgets.base import Panel, signed, tr
-from touchdown.widgets.views import (
-    UPRIGHT,
-    USUAL_SPAN_MM,
-    Quaternion,
-    SideBody,
-    SideScene,
-    SideView,
-)
 
 HOLD_S = 3.0  # time for which the end of a release stays visible, also into the next trial
 EVERY = 2  # draw every second tick: 15 pictures a second look smooth
@@ -38,15 +31,15 @@ class BenchViewPresenter:
     def __init__(
         self,
         bench: Session,
-        view: SideView,
+        view: views.SideView,
         panel: Panel,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._bench, self._view, self._panel, self._now_s = bench, view, panel, now_s
         self._piece: Piece | None = None
-        self._bottoms: tuple[SideBody, ...] = ()
+        self._bottoms: tuple[views.SideBody, ...] = ()
         self._table_mm, self._names = 0.0, ""
-        self._let_go: SideBody | None = None
+        self._let_go: views.SideBody | None = None
         self._fall: core.Fall | None = None
         self._fall_s = 0.0
         self._stands: bool | None = None
@@ -104,9 +97,9 @@ class BenchViewPresenter:
             return tr("released")
         return tr("trial {}: {}", self._let_go_in, tr("stands") if self._stands else tr("fell"))
 
-    def _scene(self, hand: tuple[float, ...] | None) -> SideScene:
+    def _scene(self, hand: tuple[float, ...] | None) -> views.SideScene:
         assert self._piece is not None
-        gripper, span, bottoms = gripper_of(self._bench), USUAL_SPAN_MM, self._bottoms
+        gripper, span, bottoms = gripper_of(self._bench), views.USUAL_SPAN_MM, self._bottoms
         holds = gripper is None or gripper.status().holding
         piece = self._let_go or (self._held() if holds else None)
         if hand is not None:
@@ -117,12 +110,12 @@ class BenchViewPresenter:
             piece = self._fallen(piece)
             bottoms = tuple(self._fallen(body) for body in bottoms)
             span = self._span(piece)
-        return SideScene(
+        return views.SideScene(
             bottoms, piece, hand, self._jaws(), self._table_mm, self._names, span, self._turn(),
             self.next_mm,
         )  # fmt: skip
 
-    def _span(self, piece: SideBody) -> tuple[float, float]:
+    def _span(self, piece: views.SideBody) -> tuple[float, float]:
         last = self._fallen(piece, at_end=True)
         x = np.concatenate([part[:, 0] for part in last.outlines_mm()])
         return min(-30.0, float(x.min()) - 8.0), max(30.0, float(x.max()) + 8.0)
@@ -131,7 +124,7 @@ class BenchViewPresenter:
         at = arm_position_mm(self._bench)
         return None if at is None else tuple(round(float(v), 2) for v in at)
 
-    def _held(self) -> SideBody | None:
+    def _held(self) -> views.SideBody | None:
         hand, piece = self._hand(), self._piece
         if hand is None or piece is None:
             return None
@@ -139,23 +132,23 @@ class BenchViewPresenter:
         # The centre of the face lies below the grasp pivot, along the hand.
         down = core.rotation_from_quaternion(turn)[:, 2] * (piece.grip_height_mm or 0.0)
         x_mm, y_mm, z_mm = (round(float(v), 2) for v in np.subtract(hand, down))
-        return SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
+        return views.SideBody(piece.name, piece.face.half_extents_mm[0], 0.5 * piece.width_mm,
                         piece.height_mm, x_mm, z_mm, turn, y_mm=y_mm,
                         face=piece.face.path(OUTLINE_POINTS))  # fmt: skip
 
-    def _turn(self) -> Quaternion:
+    def _turn(self) -> views.Quaternion:
         """Return the rotation of the hand from straight down."""
         arm = arm_of(self._bench)
         if arm is None:
-            return UPRIGHT
+            return views.UPRIGHT
         try:
             pose = arm.pose(math.inf)
         except core.StaleSampleError:
-            return UPRIGHT
+            return views.UPRIGHT
         vector = np.array([pose.rx_rad, pose.ry_rad, pose.rz_rad])
         angle = float(np.linalg.norm(vector))
         if angle == 0.0:
-            return UPRIGHT
+            return views.UPRIGHT
         x, y, z = (vector / angle * math.sin(0.5 * angle)).round(4).tolist()
         return round(math.cos(0.5 * angle), 4), x, y, z
 
@@ -165,7 +158,7 @@ class BenchViewPresenter:
             return 0.0
         return max(0.5 * gripper.status().width_mm, 0.5 * self._piece.width_mm)
 
-    def _fallen(self, still: SideBody, *, at_end: bool = False) -> SideBody:
+    def _fallen(self, still: views.SideBody, *, at_end: bool = False) -> views.SideBody:
         """Return a body along its recorded fall; unmoved without a record.
 
         The record holds the centre of each body's lower face in m and its quaternion. It knows only
@@ -188,14 +181,16 @@ class BenchViewPresenter:
 
     def _stand_on(self, pieces: list[Piece]) -> None:
         """Set the bottoms, from the table up; z = 0 is the top of the last one."""
-        bodies: list[SideBody] = []
+        bodies: list[views.SideBody] = []
         top_mm = 0.0
         for piece in reversed(pieces):
             half = piece.face.half_extents_mm[0]
             top_mm -= piece.height_mm
             profile, face = _profile_mm(piece, half), piece.face.path(OUTLINE_POINTS)
             sizes = half, half, piece.height_mm
-            bodies.append(SideBody(piece.name, *sizes, 0.0, top_mm, UPRIGHT, profile, face=face))
+            bodies.append(
+                views.SideBody(piece.name, *sizes, 0.0, top_mm, views.UPRIGHT, profile, face=face)
+            )
         self._bottoms, self._table_mm = tuple(reversed(bodies)), top_mm
         titles = [p.title for p in reversed(pieces)]
         self._names = tower_text(*([self._piece.title] if self._piece else []), *titles)

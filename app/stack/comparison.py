@@ -23,15 +23,9 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, Outcome, RunStarted, TrialFinished
 from touchdown.backend.experiments import sequential_decision
 from touchdown.backend.runs import StackRequest, StrategyChoice
+from touchdown.widgets import views
 from touchdown.widgets.base import Theme, count_noun, tr
 from touchdown.widgets.forms import STRATEGIES
-from touchdown.widgets.views import (
-    OUTCOME_WORDS,
-    BeliefScene,
-    ComparisonSheet,
-    StrategyResult,
-    success_rate_text,
-)
 
 MAX_QUESTIONS = 4  # number of kept questions, with the last belief map of each trial
 # Piece, bottoms joined by "+", seed, trials: everything but the strategy.
@@ -85,8 +79,8 @@ class StrategyRuns:
 
 
 BLIND: StrategyChoice = "pick-and-place"
-NOT_RUN = BeliefScene(empty=("Not run yet", "Run it with the same seed."))
-NO_MAP = BeliefScene(empty=("No belief", "This strategy releases without a probe."))
+NOT_RUN = views.BeliefScene(empty=("Not run yet", "Run it with the same seed."))
+NO_MAP = views.BeliefScene(empty=("No belief", "This strategy releases without a probe."))
 
 
 class ComparisonPresenter:
@@ -105,7 +99,7 @@ class ComparisonPresenter:
         self._pair: tuple[StrategyChoice, StrategyChoice] = ("paper", BLIND)
         self._waiting: list[StrategyChoice] = []
         self._drawn: tuple[object, ...] = ()
-        self.sheet: ComparisonSheet | None = None
+        self.sheet: views.ComparisonSheet | None = None
 
     def take(self, event: Event) -> None:
         """Follow all runs, also while the sheet is closed."""
@@ -114,7 +108,7 @@ class ComparisonPresenter:
     def open(self, window: QWidget) -> None:
         """Compare the strategies for the request of the form."""
         if self.sheet is None:
-            self.sheet = ComparisonSheet(
+            self.sheet = views.ComparisonSheet(
                 window, self._theme, self.run_missing, self._choose, self._compare_with
             )
         if not self._waiting:
@@ -178,7 +172,7 @@ class ComparisonPresenter:
 
     def _show(
         self,
-        sheet: ComparisonSheet,
+        sheet: views.ComparisonSheet,
         question: StackQuestion,
         stories: list[RunStory | None],
         *,
@@ -200,21 +194,23 @@ class ComparisonPresenter:
             text = "" if active else "Run both again"
         sheet.show_run(text, "" if active else start_obstacle(self._bench))
 
-    def _look(self, title: str, story: RunStory | None, trials: int, at: int) -> StrategyResult:
+    def _look(
+        self, title: str, story: RunStory | None, trials: int, at: int
+    ) -> views.StrategyResult:
         if story is None:
-            return StrategyResult(title, trials=trials, scene=NOT_RUN)
+            return views.StrategyResult(title, trials=trials, scene=NOT_RUN)
         score = run_score(story.trials, trials, "")
         placed = sum(outcome is Outcome.PLACED for outcome in story.outcomes)
-        count, rate = tr("{} of {} placed", placed, score.counted), success_rate_text(score)
+        count, rate = tr("{} of {} placed", placed, score.counted), views.success_rate_text(score)
         if at >= len(story.trials):
-            return StrategyResult(title, story.outcomes, trials, count, rate)
+            return views.StrategyResult(title, story.outcomes, trials, count, rate)
         trial = story.trials[at]
         words, good = _words(trial)
-        return StrategyResult(
+        return views.StrategyResult(
             title, story.outcomes, trials, count, rate, words, good, self._scene(story, trial)
         )
 
-    def _scene(self, story: RunStory, trial: TrialStory) -> BeliefScene:
+    def _scene(self, story: RunStory, trial: TrialStory) -> views.BeliefScene:
         felt = [k for k, look in enumerate(trial.probes) if look.belief is not None]
         if not felt:
             return NO_MAP
@@ -261,5 +257,5 @@ def _words(trial: TrialStory) -> tuple[str, bool | None]:
         return f"{tr(trial.phase or 'begun')} \N{HORIZONTAL ELLIPSIS}", None
     probes = count_noun(done.probes, "probe")
     good = done.outcome is Outcome.PLACED
-    word = tr(OUTCOME_WORDS[done.outcome]).capitalize()
+    word = tr(views.OUTCOME_WORDS[done.outcome]).capitalize()
     return f"{tr('{} after {}.', word, probes)} {done.reason}", good

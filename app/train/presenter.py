@@ -13,26 +13,21 @@ from touchdown.app.shell import SaveWorker, log
 from touchdown.app.train import text as words
 from touchdown.app.train.page import FIGURES, TrainPage
 from touchdown.app.train.reading import ModelInUse, TrainingLookup, TrainingReader, sample_scenes
+from touchdown.backend import learning
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.config import TrainingSettings, parse_settings
 from touchdown.backend.core import InputError, ProcessStallDetector
-from touchdown.backend.learning import (
-    RecordedTraining,
-    TrainingCancelled,
-    TrainingEpoch,
-    TrainingFinished,
-    TrainingLoaded,
-    TrainingRequest,
-    TrainingRun,
-    read_training_run,
-    resume_request,
-)
 from touchdown.widgets.base import set_property, tr
 from touchdown.widgets.forms import TrainingButtons, TrainingForm
 from touchdown.widgets.plots import SampleScene
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
-Report = TrainingLoaded | TrainingEpoch | TrainingFinished | TrainingCancelled
+Report = (
+    learning.TrainingLoaded
+    | learning.TrainingEpoch
+    | learning.TrainingFinished
+    | learning.TrainingCancelled
+)
 POLL_INTERVAL_S = 0.05
 # Closing waits this long for a cancelled process, then again for a killed one.
 STOP_TIMEOUT_S, JOIN_S = 1.0, 1.0
@@ -42,11 +37,11 @@ class TrainingThread:
     """Starts at once. Calls the presenter on the thread of the window; ``ended`` exactly once."""
 
     def __init__(
-        self, request: TrainingRequest, main_thread: SaveWorker, told: TrainPresenter
+        self, request: learning.TrainingRequest, main_thread: SaveWorker, told: TrainPresenter
     ) -> None:
         self._request, self._main_thread, self._told = request, main_thread, told
         self._lock, self._cancelled = threading.Lock(), False
-        self._training: RecordedTraining | None = None
+        self._training: learning.RecordedTraining | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="training", daemon=True)
         self._watch = threading.Thread(target=self._look, name="training watch", daemon=True)
@@ -84,7 +79,7 @@ class TrainingThread:
         self._main_thread.put(partial(self._told.ended, failure))
 
     def _train(self) -> None:
-        training = RecordedTraining(self._request)
+        training = learning.RecordedTraining(self._request)
         with self._lock:
             self._training = training
             if self._cancelled:
@@ -120,7 +115,7 @@ class TrainPresenter:
         self._page, self._cards, self._reading = page, cards, reading
         self._worker = worker
         self.looked: TrainingLookup | None = None
-        self.runs: dict[str, TrainingRun] = {}
+        self.runs: dict[str, learning.TrainingRun] = {}
         self.in_use: ModelInUse | None = None
         self.thread: TrainingThread | None = None
         self.live = ""  # id of the training in progress
@@ -191,7 +186,7 @@ class TrainPresenter:
         """Resume the chosen unfinished training."""
         run = self._chosen_alone()
         if self.thread is None and run is not None and run.can_resume:
-            self._begin(lambda: resume_request(run, Path(self._page.form.form().data)))
+            self._begin(lambda: learning.resume_request(run, Path(self._page.form.form().data)))
 
     def ask_cancel(self) -> None:
         """Ask for confirmation to cancel the training, which continues meanwhile."""
@@ -223,7 +218,7 @@ class TrainPresenter:
         else:
             put()
 
-    def _put_in_use(self, run: TrainingRun) -> None:
+    def _put_in_use(self, run: learning.TrainingRun) -> None:
         def done(in_use: ModelInUse | None) -> None:
             log.info("model of training %s put in use", run.uuid)
             self._take_use(in_use)
@@ -260,7 +255,7 @@ class TrainPresenter:
 
     # -- a training that goes on ------------------------------------------------------------------
 
-    def _begin(self, make: Callable[[], TrainingRequest]) -> None:
+    def _begin(self, make: Callable[[], learning.TrainingRequest]) -> None:
         try:
             request = make()
         except InputError as error:
@@ -280,12 +275,12 @@ class TrainPresenter:
     def report(self, report: Report) -> None:
         """Show a report of the run."""
         now_s = time.monotonic()
-        if isinstance(report, TrainingEpoch):
+        if isinstance(report, learning.TrainingEpoch):
             self._epochs_s.append(now_s - self._stamp_s)
             if not self._cancelling:
                 left = words.remaining_time_text(report.epoch, report.epochs, self._epochs_s)
                 self._show_progress(left)
-        elif not isinstance(report, TrainingFinished) and not self._cancelling:
+        elif not isinstance(report, learning.TrainingFinished) and not self._cancelling:
             self._show_progress("first epoch \N{HORIZONTAL ELLIPSIS}")
         self._stamp_s = now_s
         if self.live in self.runs:
@@ -312,7 +307,7 @@ class TrainPresenter:
             self._cards.clear((words.STILL.code,))
 
     def _read_run(self, folder: Path, *, choose: bool = False) -> None:
-        def take(run: TrainingRun) -> None:
+        def take(run: learning.TrainingRun) -> None:
             # The newest run is at the top.
             others = {uuid: one for uuid, one in self.runs.items() if uuid != run.uuid}
             first = run.uuid not in self.runs
@@ -321,7 +316,7 @@ class TrainPresenter:
             if choose:
                 self._page.runs.choose([run.uuid])
 
-        self._worker.submit(lambda: read_training_run(folder), take, self._failed)
+        self._worker.submit(lambda: learning.read_training_run(folder), take, self._failed)
 
     # -- showing ----------------------------------------------------------------------------------
 
@@ -373,10 +368,10 @@ class TrainPresenter:
     def _why_not(self) -> str:
         return (self.looked.trouble or self.looked.overview.error) if self.looked else ""
 
-    def _chosen(self) -> list[TrainingRun]:
+    def _chosen(self) -> list[learning.TrainingRun]:
         return [self.runs[uuid] for uuid in self._page.runs.chosen() if uuid in self.runs]
 
-    def _chosen_alone(self) -> TrainingRun | None:
+    def _chosen_alone(self) -> learning.TrainingRun | None:
         chosen = self._chosen()
         return chosen[0] if len(chosen) == 1 else None
 
@@ -396,7 +391,7 @@ class TrainPresenter:
         page.figures.show_rows(words.figure_rows(chosen))
         self._show_samples()
 
-    def _epochs(self, run: TrainingRun) -> int:
+    def _epochs(self, run: learning.TrainingRun) -> int:
         done = len(run.curves.get("iou", ()))
         planned = run.about.params.get("epochs", 0) if run.uuid == self.live else 0
         return max(done, int(planned)) if self.thread is not None else done
@@ -434,7 +429,7 @@ class TrainPresenter:
         self._cards.show_card(words.failure_card(error))
 
 
-def training_request(form: TrainingForm) -> TrainingRequest:
+def training_request(form: TrainingForm) -> learning.TrainingRequest:
     """Return the request of a form. Raises ``InputError``."""
     settings = {
         "modality": form.modality,
@@ -449,4 +444,4 @@ def training_request(form: TrainingForm) -> TrainingRequest:
     }
     labels = next(name for name in LABEL_CHOICES if name == form.labels)
     parsed = parse_settings(TrainingSettings, settings, "the form")
-    return TrainingRequest(Path(form.data), form.piece, parsed, labels)
+    return learning.TrainingRequest(Path(form.data), form.piece, parsed, labels)

@@ -24,24 +24,9 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend import core
 from touchdown.backend.bench.emulator_registry import bench_toml
 from touchdown.backend.config import HardwareSettings, MelfaSettings, ProbeSettings, read_toml
-from touchdown.backend.core import (
-    FINGERS,
-    IDENTITY_ROTATION,
-    LEVEL_TOLERANCE_RAD,
-    Fault,
-    FaultError,
-    Finger,
-    FloatArray,
-    ImageArray,
-    InputError,
-    Pose,
-    parse_toml,
-    pose_rotation,
-    rotation_vector,
-    set_realtime_priority,
-)
 from touchdown.backend.devices.dynpick import EmulatedDynpick
 from touchdown.backend.devices.gelsight import GelsightServer, camera_tables
 from touchdown.backend.devices.melfa import (
@@ -97,7 +82,7 @@ class DriverObservations:
 
 
 def command_travel(
-    positions_mm: Sequence[tuple[float, FloatArray]], since_s: float
+    positions_mm: Sequence[tuple[float, core.FloatArray]], since_s: float
 ) -> tuple[float, float, float]:
     """Return how far the commanded positions (time, (3,) mm) went sideways, down and up after
     ``since_s``, mm.
@@ -115,11 +100,11 @@ class DriverMonitor:
     def __init__(self, melfa: EmulatedMelfa) -> None:
         self._melfa = melfa
         self.gripper: SceneWsg | None = None
-        self._rest: list[FloatArray] = []
-        self._rest_n: FloatArray = np.zeros(3)
+        self._rest: list[core.FloatArray] = []
+        self._rest_n: core.FloatArray = np.zeros(3)
         self._force_n = 0.0
 
-    def add_samples(self, wrench: FloatArray) -> None:
+    def add_samples(self, wrench: core.FloatArray) -> None:
         """Process wrist samples (N, 6) of the world."""
         force_n = wrench[:, :3]
         if sum(map(len, self._rest)) < REST_ROWS:
@@ -167,14 +152,14 @@ class EmulatedScene:
         self.monitor = DriverMonitor(self.melfa)
         self.melfa.controller.felt = self._felt_in_base
         self._zero_s = 0.0
-        self._felt: tuple[float, FloatArray] = (0.0, np.zeros((1, 6)))
-        self._pictures: dict[Finger, ImageArray] = {}
+        self._felt: tuple[float, core.FloatArray] = (0.0, np.zeros((1, 6)))
+        self._pictures: dict[core.Finger, core.ImageArray] = {}
         self._stop = threading.Event()
         self.priority = 0  # real-time priority of the world thread if permitted; 0: unchanged
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self.late: int = 0  # skipped cycles
         self.faults: dict[str, Faults] = {}  # of each device, for a strike
-        self._commands: deque[tuple[float, FloatArray]] = deque(maxlen=KEPT_COMMANDS)
+        self._commands: deque[tuple[float, core.FloatArray]] = deque(maxlen=KEPT_COMMANDS)
 
     def start(self) -> None:
         """Start the time."""
@@ -191,7 +176,7 @@ class EmulatedScene:
         """Monotonic time up to which the wrist sensor has samples."""
         return self._zero_s + self._felt[0] + LATENCY_S
 
-    def joints_rad(self, world_s: float) -> FloatArray:
+    def joints_rad(self, world_s: float) -> core.FloatArray:
         """Return the joints (6,) of the emulated arm at a time of the world."""
         return self.melfa.controller.joints_at(self._zero_s + world_s)
 
@@ -205,12 +190,12 @@ class EmulatedScene:
         behind = round((newest_s - (now_s - self._zero_s - LATENCY_S)) * rate_hz)
         return tuple(rows[max(-1 - max(behind, 0), -len(rows))].tolist())
 
-    def _felt_in_base(self) -> FloatArray:
+    def _felt_in_base(self) -> core.FloatArray:
         """Return the newest wrench (6,) in axes of the arm base."""
         newest, in_base = self._felt[1][-1], self.frame.in_base
         return np.concatenate([in_base(newest[:3]), in_base(newest[3:])])
 
-    def picture(self, finger: Finger) -> ImageArray | None:
+    def picture(self, finger: core.Finger) -> core.ImageArray | None:
         """Return the newest image of a finger, None if it was returned before."""
         return self._pictures.pop(finger, None)
 
@@ -228,20 +213,20 @@ class EmulatedScene:
 
     def step(self, behind_s: float = 0.0) -> CycleRecord:
         """Advance the world, late by ``behind_s``, by one cycle and publish its samples."""
-        sensed = self.world.step(FINGERS if behind_s <= PICTURE_S else ())
+        sensed = self.world.step(core.FINGERS if behind_s <= PICTURE_S else ())
         self.monitor.add_samples(sensed.wrench)
         rows = np.concatenate([self._felt[1], sensed.wrench])[-KEPT:]
         self._felt = (1e-6 * sensed.end_us, rows)
         over_s = self._zero_s + 1e-6 * sensed.end_us
         self._commands.append((over_s, self.world.drive.command_mm))
-        for finger in FINGERS:
+        for finger in core.FINGERS:
             if sensed.shots[finger]:
                 self._pictures[finger] = sensed.shots[finger][-1].develop()
         return sensed
 
     def _run(self) -> None:
         """Step each cycle as soon as it is over, when the arm position at its end is known."""
-        set_realtime_priority(self.priority)
+        core.set_realtime_priority(self.priority)
         self._zero_s = time.monotonic() - 1e-6 * self.world.now_us
         while not self._stop.is_set():
             over_s = self._zero_s + 1e-6 * (self.world.now_us + self.world.cycle_us)
@@ -266,36 +251,36 @@ class BenchFrame:
     def __init__(self, settings: MelfaSettings) -> None:
         yaw, hand = math.radians(settings.yaw_deg), math.radians(settings.hand_deg)
         self._origin_mm, self._tool_mm = np.array(settings.origin_mm), settings.tool_mm
-        self._turn = pose_rotation(Pose(0.0, 0.0, 0.0, rz_rad=yaw))
-        hand_turn = pose_rotation(Pose(0.0, 0.0, 0.0, rz_rad=yaw + hand))
+        self._turn = core.pose_rotation(core.Pose(0.0, 0.0, 0.0, rz_rad=yaw))
+        hand_turn = core.pose_rotation(core.Pose(0.0, 0.0, 0.0, rz_rad=yaw + hand))
         self._hand = hand_turn @ np.diag([1.0, -1.0, -1.0])
-        self._last: tuple[list[float], FloatArray] = ([], np.eye(4))
+        self._last: tuple[list[float], core.FloatArray] = ([], np.eye(4))
 
-    def _frame(self, joints_rad: FloatArray) -> FloatArray:
+    def _frame(self, joints_rad: core.FloatArray) -> core.FloatArray:
         """Return the flange pose (4, 4), cached for joints at rest."""
         last, joints = self._last, joints_rad.tolist()
         if joints != last[0]:
             self._last = last = (joints, frame_of(joints_rad))
         return last[1]
 
-    def pivot_mm(self, joints_rad: FloatArray) -> FloatArray:
+    def pivot_mm(self, joints_rad: core.FloatArray) -> core.FloatArray:
         """Return the position (3,) of ``G`` in the bench frame."""
         frame = self._frame(joints_rad)
         at_mm = frame[:3, 3] + self._tool_mm * frame[:3, 2]
         return np.asarray(self._turn.T @ (at_mm - self._origin_mm))
 
-    def in_base(self, vector: FloatArray) -> FloatArray:
+    def in_base(self, vector: core.FloatArray) -> core.FloatArray:
         """Return a vector (3,) of the bench in axes of the arm base."""
         return np.asarray(self._turn @ vector)
 
-    def turn(self, joints_rad: FloatArray) -> FloatArray:
+    def turn(self, joints_rad: core.FloatArray) -> core.FloatArray:
         """Return the rotation (3, 3) of the hand; the identity within the level tolerance."""
         hand = self._frame(joints_rad)[:3, :3]
         turn = self._turn.T @ hand @ self._hand.T @ self._turn
-        level = np.linalg.norm(rotation_vector(turn)) <= LEVEL_TOLERANCE_RAD
-        return IDENTITY_ROTATION if level else turn
+        level = np.linalg.norm(core.rotation_vector(turn)) <= core.LEVEL_TOLERANCE_RAD
+        return core.IDENTITY_ROTATION if level else turn
 
-    def joints(self, pivot_mm: FloatArray) -> FloatArray:
+    def joints(self, pivot_mm: core.FloatArray) -> core.FloatArray:
         """Return joints (6,) with ``G`` there and the hand down; ``ValueError`` out of reach."""
         frame = np.eye(4)
         frame[:3, :3] = self._hand
@@ -311,9 +296,9 @@ class CarriedProgram(SimProgram):
 
     def __init__(self, emulated: EmulatedScene) -> None:
         self._emulated = emulated
-        self.turn = IDENTITY_ROTATION  # rotation of the emulated arm's hand
+        self.turn = core.IDENTITY_ROTATION  # rotation of the emulated arm's hand
 
-    def next_mm(self, command_mm: FloatArray, cycle: ArmCycle) -> FloatArray:
+    def next_mm(self, command_mm: core.FloatArray, cycle: ArmCycle) -> core.FloatArray:
         """Return the arm position at the end of ``cycle``; a descent begins the next probe."""
         joints_rad, frame = self._emulated.joints_rad(cycle.end_s), self._emulated.frame
         here, holding = frame.pivot_mm(joints_rad), self._emulated.world.holding
@@ -379,7 +364,7 @@ class SceneWsg(EmulatedWsg):
         return world.scene.jig and world.clear_mm(world.drive.command_mm) > HAND_MM
 
 
-SERIALS: Mapping[Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}
+SERIALS: Mapping[core.Finger, str] = {"left": "LEFT-0001", "right": "RGHT-0001"}
 BENCH_FILE = "bench.toml"
 LAB_HEAD = """\
 # Lab file of an emulated bench: it holds as long as the bench is served.
@@ -450,10 +435,10 @@ def serve_bench(
     ``InputError`` for a bench file of other origin in ``folder``.
     """
     file, fingers = folder / BENCH_FILE, camera_tables(folder, SERIALS)
-    own = parse_toml(bench_toml(fingers))["gelsight"]
+    own = core.parse_toml(bench_toml(fingers))["gelsight"]
     if file.exists() and read_toml(file).get("gelsight") != own:
         what = "This command did not write the file; it would be replaced."
-        raise InputError(what, str(file), "Name another folder.")
+        raise core.InputError(what, str(file), "Name another folder.")
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
     emulated = EmulatedScene(scene, settings.melfa)
     folder.mkdir(parents=True, exist_ok=True)
@@ -475,7 +460,7 @@ def serve_bench(
             rate_hz=POLL_HZ,
             faults=Faults(f"tactile_{finger}", plan),
         )
-        for finger in FINGERS
+        for finger in core.FINGERS
     ]
     emulated.faults = {one.faults.device: one.faults for one in (arm, gripper, sensor, *cameras)}
     emulated.priority = EMULATOR_PRIORITY
@@ -538,7 +523,7 @@ class TruthServer(EmulatedDevice):
         return answer
 
 
-GONE = Fault(
+GONE = core.Fault(
     "BENCH-GONE",
     "The process of the emulated bench has ended.",
     "All emulated devices are gone.",
@@ -579,8 +564,8 @@ class TruthClient:
                 while not received.endswith(b"\n") and len(received) < LONGEST:
                     more = line.recv(LONGEST)
                     if not more:
-                        raise FaultError(GONE)
+                        raise core.FaultError(GONE)
                     received += more
         except OSError as error:
-            raise FaultError(GONE) from error
+            raise core.FaultError(GONE) from error
         return json.loads(received)

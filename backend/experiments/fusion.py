@@ -20,14 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import config, geometry
-from touchdown.backend.core import (
-    CHANNELS,
-    TACTILE_CHANNELS,
-    FloatArray,
-    InputError,
-    program_version,
-)
+from touchdown.backend import config, core, geometry
 from touchdown.backend.episodes import TrainingRows
 from touchdown.backend.experiments.nuisances import bench_within
 from touchdown.backend.experiments.tables import job_code
@@ -113,7 +106,7 @@ def simulate_sequences(
     anywhere = rng.random(n) < RANDOM_SEQUENCE_SHARE
     lever = np.asarray(scenes[0].grip_height_mm + fused.SENSOR_MM)
     offset, true = np.zeros((n, probes, 2)), np.zeros((n, probes, 2))
-    seen = np.zeros((n, probes, len(fused.TICKS), CHANNELS), np.float32)
+    seen = np.zeros((n, probes, len(fused.TICKS), core.CHANNELS), np.float32)
     count = np.zeros(n, np.int64)
     for probe in range(probes):
         waiting = np.flatnonzero(count == probe)
@@ -125,7 +118,7 @@ def simulate_sequences(
                 [geometry.draw_offset(rng, piece.face, outline, 1)[0] for outline in below]
             )
             goes = ~anywhere[waiting] & (probe > 0)
-            wrench = seen[waiting, probe - 1, :, TACTILE_CHANNELS:]
+            wrench = seen[waiting, probe - 1, :, core.TACTILE_CHANNELS :]
             acted = fused.acting_point_mm((wrench[:, -1] - wrench[:, 0]).astype(np.float64), lever)
             wanted = next_places(offset[waiting, probe - 1], acted, rng)
             wanted = np.where(goes[:, None], wanted, free)
@@ -139,8 +132,8 @@ def simulate_sequences(
     true_com = np.array([true_com_xy_mm(scene) for scene in scenes])
     com_error = true_com - piece.com_xy_mm
     return {
-        "wrench": seen[..., TACTILE_CHANNELS:],
-        "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
+        "wrench": seen[..., core.TACTILE_CHANNELS :],
+        "field": seen[..., : core.TACTILE_CHANNELS].astype(np.float16),
         "offset_mm": offset.astype(np.float32),
         "true_mm": (true + com_error[:, None]).astype(np.float32),
         "count": count,
@@ -160,7 +153,9 @@ def _face_arrays(piece: geometry.Piece, n: int) -> dict[str, NDArray[Any]]:
     }
 
 
-def next_places(last: FloatArray, acted: FloatArray, rng: np.random.Generator) -> FloatArray:
+def next_places(
+    last: core.FloatArray, acted: core.FloatArray, rng: np.random.Generator
+) -> core.FloatArray:
     """Return (n, 2) places after a step from ``last``: towards the centre of pressure, or random.
 
     The step depends on measured signals only; otherwise it would reveal the truth to the network.
@@ -209,8 +204,8 @@ def labelled_sequences(
     order = np.concatenate(list(groups.values()))
     seen = rows.inputs(order)[:, fused.TICKS]
     arrays: dict[str, NDArray[Any]] = {
-        "wrench": fused.wrench_at_sensor(seen[..., TACTILE_CHANNELS:], sensor_mm),
-        "field": seen[..., :TACTILE_CHANNELS].astype(np.float16),
+        "wrench": fused.wrench_at_sensor(seen[..., core.TACTILE_CHANNELS :], sensor_mm),
+        "field": seen[..., : core.TACTILE_CHANNELS].astype(np.float16),
         "offset_mm": rows.offset_mm[order].astype(np.float32),
     }
     for name, values in arrays.items():
@@ -221,7 +216,7 @@ def labelled_sequences(
         below = library.bottom(name)
         outline = below.upper or below.face
         if outline.kind == "region" or below.surface != geometry.FLAT:
-            raise InputError(
+            raise core.InputError(
                 f"The bottom {name} is not convex and flat.", "fine-tuning of fused",
                 "Use probes on circles, rectangles and other convex bottoms.",
             )  # fmt: skip
@@ -420,13 +415,13 @@ def adopt_tuning(
     if rows is not None and found.card.outlines != "convex":
         what = "Only networks for convex outlines can be fine-tuned on labelled probes."
         fix = "Name another one."
-        raise InputError(what, str(network), fix)
+        raise core.InputError(what, str(network), fix)
     own = {} if rows is None else labelled_sequences(rows, geometry.load_pieces(), sensor_mm)
     count = len(own.get("count", ()))
     held = np.arange(count) % LABELLED_HELD_OUT == LABELLED_HELD_OUT - 1
     if own and not held.any():
         what = f"The labelled probes come from {count} grippings, {LABELLED_HELD_OUT} are needed."
-        raise InputError(what, "--data", "Label probes of more grippings.")
+        raise core.InputError(what, "--data", "Label probes of more grippings.")
     facts = {"weights_sha256": found.card.weights_sha256, "data_sha256": fused.data_sha256(own)}
     spec = JobSpec("tuning", facts)
     if not store.has(spec.id):
@@ -470,7 +465,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
         start, own = fused.load_fused(folder / WEIGHTS), 0
         if start.card.outlines != kinds:
             what = f"This network is of outlines {start.card.outlines}, the sequences are not."
-            raise InputError(what, "--from", f"Give --outlines {start.card.outlines}.")
+            raise core.InputError(what, "--from", f"Give --outlines {start.card.outlines}.")
         if (folder / LABELLED[0]).exists():
             labelled, judged = (dict(np.load(folder / name)) for name in LABELLED)
             own, held_out = len(labelled["count"]), iter([judged])
@@ -517,7 +512,7 @@ def train_fusion(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             **origin,
         },
         metrics=metrics,
-        program_version=program_version(),
+        program_version=core.program_version(),
     )
     card = save_checkpoint(place.folder / WEIGHTS, trainer.arrays(), card)
     return {"weights_sha256": card.weights_sha256, **metrics}

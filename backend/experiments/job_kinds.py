@@ -13,15 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from touchdown.backend import learning
+from touchdown.backend import config, learning
 from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
-from touchdown.backend.config import (
-    SimulationSettings,
-    StackSettings,
-    TrainingSettings,
-    bench_sha256,
-    parse_settings,
-)
 from touchdown.backend.core import Event, TrialFinished
 from touchdown.backend.episodes import TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments.collection import batch_plan, run_job, split_jobs, total_redraws
@@ -65,7 +58,7 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     jobs = split_jobs(plan, {"geometry": piece.sha256}, place.folder)
     redraws = total_redraws([run_job(job) for job in jobs])
     return {
-        "bench_sha256": bench_sha256(settings),
+        "bench_sha256": config.bench_sha256(settings),
         "episodes": plan.episodes,
         "rejected": redraws.drawn_again,
         "unsolved": redraws.unsolved,
@@ -75,7 +68,7 @@ def simulate_collection(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 def train_model(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     """Train one model on the probes of the input jobs."""
     learning.use_one_thread()
-    settings = parse_settings(TrainingSettings, spec.params["training"], "job")
+    settings = config.parse_settings(config.TrainingSettings, spec.params["training"], "job")
     rows = join_rows([load_rows(place.store.folder(i)) for i in sorted(spec.inputs)])
     head = spec.params["head"]
     if head == "stability":
@@ -155,8 +148,11 @@ def run_stacking(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     case = SceneSetup.of_job(p, *p["bottoms"])
     learning.use_one_thread()
     scenes, left_out = _counted(case, spec)
-    settings, limits = StackSettings(), EpisodeLimits()
-    answer: dict[str, Any] = {"bench_sha256": bench_sha256(case.settings), "left_out": left_out}
+    settings, limits = config.StackSettings(), EpisodeLimits()
+    answer: dict[str, Any] = {
+        "bench_sha256": config.bench_sha256(case.settings),
+        "left_out": left_out,
+    }
     if p["strategy"] == "pick-and-place":
         results = pick_and_place_in_lockstep(scenes, settings)
     else:
@@ -207,7 +203,7 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
             session.events.subscribe(results.append)
             session.run(replace(request, seed=scene.seed, trials=1))
     return {
-        "bench_sha256": bench_sha256(_bench(p)),
+        "bench_sha256": config.bench_sha256(_bench(p)),
         "trials": [
             {"seed": e.seed, "outcome": e.outcome.value, "reason": e.reason, "probes": e.probes}
             for e in results
@@ -216,8 +212,8 @@ def run_on_devices(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }
 
 
-def _bench(params: Mapping[str, Any]) -> SimulationSettings:
-    return parse_settings(SimulationSettings, params["bench"], "job")
+def _bench(params: Mapping[str, Any]) -> config.SimulationSettings:
+    return config.parse_settings(config.SimulationSettings, params["bench"], "job")
 
 
 KINDS: JobFunctions = {

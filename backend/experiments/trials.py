@@ -16,17 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import geometry
+from touchdown.backend import core, geometry, simulation
 from touchdown.backend.config import SimulationSettings, StackSettings, parse_settings
-from touchdown.backend.core import (
-    BeliefMap,
-    ContactPatch,
-    FloatArray,
-    InputError,
-    Outcome,
-    PlaceAction,
-    Stability,
-)
 from touchdown.backend.learning import PatchCalibration
 from touchdown.backend.placement import (
     GraspedPiece,
@@ -37,25 +28,14 @@ from touchdown.backend.placement import (
     make_strategy,
 )
 from touchdown.backend.sensing import EpisodeLimits, refuse_observation
-from touchdown.backend.simulation import (
-    BatchedTrials,
-    PressTruth,
-    Scene,
-    TrialPresses,
-    judge_release,
-    release_kick_mm,
-    touched_margins_mm,
-    true_com_xy_mm,
-    true_margin_mm,
-)
 from touchdown.backend.simulation.second_world import FiniteGelTrials, SecondWorldTrials
 
 _DISPLACEMENT = 78
 FRESH = "fresh"  # stands for one test outline per trial
 FRESH_TRIAL_SEED = 47_000_000  # of the trial on outline 0
 # Simulated worlds by name
-WORLDS: dict[str, type[BatchedTrials]] = {
-    "bench": BatchedTrials,
+WORLDS: dict[str, type[simulation.BatchedTrials]] = {
+    "bench": simulation.BatchedTrials,
     "elsewhere": SecondWorldTrials,
     "elsewhere-finite-elements": FiniteGelTrials,
 }
@@ -99,7 +79,7 @@ class SceneSetup:
         return replace(cls.of_job(params), bottoms=(bottom,))
 
 
-def start_scene(case: SceneSetup, seed: int) -> Scene | None:
+def start_scene(case: SceneSetup, seed: int) -> simulation.Scene | None:
     """Return the unstable scene of one trial; None if no place is stable.
 
     The device loop builds the same scene from the same seed.
@@ -109,10 +89,10 @@ def start_scene(case: SceneSetup, seed: int) -> Scene | None:
     if len(case.bottoms) > 1 and not geometry.can_be_placed(case.piece, tower):
         return None
     start = geometry.draw_start(rng, case.piece.body(), tower)
-    return Scene(case.piece, tower, start, seed, case.settings)
+    return simulation.Scene(case.piece, tower, start, seed, case.settings)
 
 
-def bottom_facts(bottom: str, case: SceneSetup, scene: Scene) -> dict[str, Any]:
+def bottom_facts(bottom: str, case: SceneSetup, scene: simulation.Scene) -> dict[str, Any]:
     """Return the facts about the bottom of a trial by which trials are counted.
 
     The class of a fresh outline; on a face that is not flat also its kind, and ``best_margin_mm``.
@@ -124,14 +104,14 @@ def bottom_facts(bottom: str, case: SceneSetup, scene: Scene) -> dict[str, Any]:
     return outline if bottom == FRESH else {}
 
 
-def best_margin_mm(scene: Scene) -> float:
+def best_margin_mm(scene: simulation.Scene) -> float:
     """Return the margin that the exact judge finds at the best place of a grid of 1 mm."""
     piece, top = scene.piece, scene.bottoms.bodies[-1]
     reach = np.ceil(max(scene.surface.half_extents_mm))
     line = np.arange(-reach, reach + 1.0)
     com = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    true_com = true_com_xy_mm(scene)
-    margins = touched_margins_mm(scene, true_com, com)
+    true_com = simulation.true_com_xy_mm(scene)
+    margins = simulation.touched_margins_mm(scene, true_com, com)
     if not top.fixed:
         # The bottom must not tip either.
         load = piece.mass_g * com + top.mass_g * np.asarray(top.com_xy_mm)
@@ -139,17 +119,17 @@ def best_margin_mm(scene: Scene) -> float:
             margins, geometry.inset_mm(top.lower, load / (piece.mass_g + top.mass_g))
         )
     place = pair_of(com[margins.argmax()] - true_com)
-    return round(true_margin_mm(scene, place, 0.0), 2)
+    return round(simulation.true_margin_mm(scene, place, 0.0), 2)
 
 
-def probing_scene(case: SceneSetup, seed: int) -> Scene:
+def probing_scene(case: SceneSetup, seed: int) -> simulation.Scene:
     """Return a scene for single presses, with its own mounting and gripping."""
-    return Scene(
+    return simulation.Scene(
         case.piece, geometry.Tower((case.bottoms[0].body(),)), (0.0, 0.0), seed, case.settings
     )
 
 
-def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) -> FloatArray:
+def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) -> core.FloatArray:
     """Return a random displacement (2,) at which the piece stands, or does not, as ``stable``
     requires.
 
@@ -163,14 +143,14 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
             body = case.piece.body(pair_of(offset))
             if geometry.judge_tower(geometry.Tower((bottom, body))).stands is stable:
                 return np.asarray(offset, dtype=np.float64)
-    raise InputError(
+    raise core.InputError(
         f"'{case.piece.name}' never {'stands' if stable else 'falls'} there.",
         case.bottoms[0].name,
         "Choose another bottom.",
     )
 
 
-def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> FloatArray:
+def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> core.FloatArray:
     """Return a random displacement (2,) with enough overlap."""
     rng = displacement_rng(seed, probe, attempt)
     return np.asarray(geometry.draw_offset(rng, case.piece.face, case.bottoms[0].face, 1)[0])
@@ -182,10 +162,13 @@ def displacement_rng(seed: int, probe: int, attempt: int) -> np.random.Generator
 
 
 # contact probabilities (k, N) of observations (k, 20, 258)
-BatchPredict = Callable[[NDArray[np.float32]], FloatArray]
+BatchPredict = Callable[[NDArray[np.float32]], core.FloatArray]
 MAX_ATTEMPTS = 2  # a refused press is repeated once, as on the bench
 NO_CONTACT = "No contact was found."
-UNRELEASED = {"ask": Outcome.ASKED, "give_up": Outcome.GAVE_UP}  # nobody answers in a batch
+UNRELEASED = {
+    "ask": core.Outcome.ASKED,
+    "give_up": core.Outcome.GAVE_UP,
+}  # nobody answers in a batch
 TOPPLED_REASON = "The press tipped the bottom over its edge."
 XY = tuple[float, float]
 
@@ -195,7 +178,7 @@ class BatchModel:
     """Interface of a trained model: ``points_mm`` (N, 2) of the face, and predictions."""
 
     predict: BatchPredict
-    points_mm: FloatArray
+    points_mm: core.FloatArray
     base_rate: float | None
     calibration: PatchCalibration | None = None
 
@@ -209,9 +192,9 @@ class ProbeStep:
 
     offset_mm: XY
     true_mm: XY
-    map: BeliefMap
-    stability: Stability
-    action: PlaceAction
+    map: core.BeliefMap
+    stability: core.Stability
+    action: core.PlaceAction
     toppled: bool = False
 
 
@@ -225,7 +208,7 @@ class BatchTrialResult:
     """
 
     seed: int
-    outcome: Outcome
+    outcome: core.Outcome
     reason: str
     probes: int
     verdict: geometry.TowerVerdict | None
@@ -253,7 +236,7 @@ def rounded_margins(margins_mm: Iterable[float]) -> list[float | None]:
 @dataclass
 class _RunningTrial:
     number: int
-    scene: Scene
+    scene: simulation.Scene
     here: XY
     strategy: Strategy | None = None
     steps: list[ProbeStep] = field(default_factory=list)
@@ -263,16 +246,16 @@ class _RunningTrial:
     unsolved: int = 0
     toppled: bool = False
 
-    def note(self, truth: PressTruth, k: int) -> None:
+    def note(self, truth: simulation.PressTruth, k: int) -> None:
         self.true_mm = pair_of(truth.offset_mm[k])
         self.unsolved += not truth.solved[k]
         self.toppled |= bool(truth.toppled[k])
 
     def close(
-        self, outcome: Outcome, reason: str, verdict: geometry.TowerVerdict | None = None
+        self, outcome: core.Outcome, reason: str, verdict: geometry.TowerVerdict | None = None
     ) -> None:
         if self.toppled:
-            outcome, reason, verdict = Outcome.KNOCKED_OVER, f"{TOPPLED_REASON} {reason}", None
+            outcome, reason, verdict = core.Outcome.KNOCKED_OVER, f"{TOPPLED_REASON} {reason}", None
         steps = tuple(self.steps)
         self.end = BatchTrialResult(
             self.scene.seed,
@@ -287,12 +270,12 @@ class _RunningTrial:
 
 
 def stack_in_lockstep(
-    scenes: Sequence[Scene],
+    scenes: Sequence[simulation.Scene],
     model: BatchModel,
     settings: StackSettings,
     limits: EpisodeLimits,
-    create: Callable[[Scene, XY], Strategy] | None = None,
-    world: type[BatchedTrials] = BatchedTrials,
+    create: Callable[[simulation.Scene, XY], Strategy] | None = None,
+    world: type[simulation.BatchedTrials] = simulation.BatchedTrials,
 ) -> list[BatchTrialResult]:
     """Run one stacking trial per scene to its end, all side by side.
 
@@ -320,7 +303,7 @@ def stack_in_lockstep(
     bench = world(scenes, settings.probe)
     if create is None:
 
-        def create(scene: Scene, at: XY) -> Strategy:
+        def create(scene: simulation.Scene, at: XY) -> Strategy:
             return make_strategy(grasped_piece_in(scene, model), settings, at)
 
     starts = zip(scenes, map(pair_of, bench.start_commands_mm()), strict=True)
@@ -334,13 +317,13 @@ def stack_in_lockstep(
             continue
         probability = model.predict(press.observation[kept])
         for k, p in zip(kept, probability, strict=True):
-            patch = ContactPatch(model.points_mm.copy(), p)
+            patch = core.ContactPatch(model.points_mm.copy(), p)
             _decide(active[k], ProbeObservation(press.observation[k], patch, active[k].here), bench)
     return [trial.end for trial in trials if trial.end is not None]
 
 
 def grasped_piece_in(
-    scene: Scene, model: BatchModel | None, below: SupportTower | None = None
+    scene: simulation.Scene, model: BatchModel | None, below: SupportTower | None = None
 ) -> GraspedPiece:
     """Return the properties of the grasped piece that a strategy may know."""
     height_mm, com = scene.settings.wrist.height_mm, scene.piece.com_xy_mm
@@ -349,7 +332,9 @@ def grasped_piece_in(
 
 
 def pick_and_place_in_lockstep(
-    scenes: Sequence[Scene], settings: StackSettings, world: type[BatchedTrials] = BatchedTrials
+    scenes: Sequence[simulation.Scene],
+    settings: StackSettings,
+    world: type[simulation.BatchedTrials] = simulation.BatchedTrials,
 ) -> list[BatchTrialResult]:
     """Press once and release in any case: the paper's baseline."""
     bench = world(scenes, settings.probe)
@@ -362,13 +347,13 @@ def pick_and_place_in_lockstep(
         if press.detected[k]:
             _release(trial, bench)
         else:
-            trial.close(Outcome.ABORTED, NO_CONTACT)
+            trial.close(core.Outcome.ABORTED, NO_CONTACT)
         assert trial.end is not None
         ends.append(trial.end)
     return ends
 
 
-def refused_presses(press: TrialPresses, limits: EpisodeLimits) -> list[list[str]]:
+def refused_presses(press: simulation.TrialPresses, limits: EpisodeLimits) -> list[list[str]]:
     """Return for each press the reasons for which a bench refuses it; from measurements alone."""
     return [
         refuse_observation(seen, travel_mm, limits) if found else [NO_CONTACT]
@@ -379,7 +364,7 @@ def refused_presses(press: TrialPresses, limits: EpisodeLimits) -> list[list[str
 
 
 def _accepted_presses(
-    active: list[_RunningTrial], press: TrialPresses, limits: EpisodeLimits
+    active: list[_RunningTrial], press: simulation.TrialPresses, limits: EpisodeLimits
 ) -> list[int]:
     """Return the accepted presses. As on the bench, a trial is aborted after two refused presses,
     and after one without contact unless its strategy can recover from it.
@@ -395,7 +380,7 @@ def _accepted_presses(
             if trial.tries == MAX_ATTEMPTS:
                 probe, why = len(trial.steps) + 1, "; ".join(reasons)
                 trial.close(
-                    Outcome.ABORTED, f"Probe {probe} was rejected {MAX_ATTEMPTS} times: {why}."
+                    core.Outcome.ABORTED, f"Probe {probe} was rejected {MAX_ATTEMPTS} times: {why}."
                 )
         elif isinstance(trial.strategy, SearchingStrategy):
             action = trial.strategy.missed(trial.here)
@@ -405,11 +390,13 @@ def _accepted_presses(
                 trial.here = (trial.here[0] + action.step_mm[0], trial.here[1] + action.step_mm[1])
                 trial.tries = 0
         else:
-            trial.close(Outcome.ABORTED, NO_CONTACT)
+            trial.close(core.Outcome.ABORTED, NO_CONTACT)
     return kept
 
 
-def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrials) -> None:
+def _decide(
+    trial: _RunningTrial, touched: ProbeObservation, bench: simulation.BatchedTrials
+) -> None:
     here = trial.here
     assert trial.strategy is not None
     assert trial.true_mm is not None
@@ -425,17 +412,17 @@ def _decide(trial: _RunningTrial, touched: ProbeObservation, bench: BatchedTrial
         trial.here = (here[0] + action.step_mm[0], here[1] + action.step_mm[1])
 
 
-def _release(trial: _RunningTrial, bench: BatchedTrials) -> None:
+def _release(trial: _RunningTrial, bench: simulation.BatchedTrials) -> None:
     """Judge the whole tower, as the simulated bench does."""
     assert trial.true_mm is not None
-    kick = release_kick_mm(trial.scene, 1)
+    kick = simulation.release_kick_mm(trial.scene, 1)
     yaw = bench.grippings[trial.number].yaw_rad
     scene = replace(trial.scene, bottoms=bench.bottoms[trial.number])
-    verdict = judge_release(scene, trial.true_mm, yaw, kick)
-    outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
+    verdict = simulation.judge_release(scene, trial.true_mm, yaw, kick)
+    outcome = core.Outcome.PLACED if verdict.stands else core.Outcome.FELL
     trial.close(outcome, f"Margin {verdict.margin_mm:+.2f} mm.", verdict)
 
 
-def pair_of(values: FloatArray) -> XY:
+def pair_of(values: core.FloatArray) -> XY:
     """Return (2,) as a pair."""
     return float(values[0]), float(values[1])

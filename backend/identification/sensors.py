@@ -12,14 +12,8 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter, welch
 
 from touchdown.backend.core import FINGERS, FloatArray, Recording
+from touchdown.backend.identification import recordings
 from touchdown.backend.identification.estimates import Estimate, estimate, spread_estimate
-from touchdown.backend.identification.recordings import (
-    Delays,
-    PressRecording,
-    PressSet,
-    RestRecording,
-    seen_in,
-)
 
 LEAST_REST_S, GOOD_REST_S = 30.0, 300.0
 BLOCK_S = 1.0  # means of this length show the drift
@@ -73,7 +67,7 @@ def walk_rate(means: FloatArray, white_var: float, block_s: float) -> tuple[floa
     return rate, rate / np.sqrt(max(curvature, 1e-3))
 
 
-def identify_rest(rest: RestRecording) -> RestResult:
+def identify_rest(rest: recordings.RestRecording) -> RestResult:
     """Return noise, drift and timing of wrist sensor and cameras at rest in air."""
     blocks = rest.blocks
     wrench = np.concatenate([block.wrench for block in blocks])
@@ -133,7 +127,7 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
             dropped += int(number[-1]) + 1 - len(part)
         frames += len(fields)
         moved = np.array([f.displacement_px for f in fields])
-        seen = np.concatenate([seen_in(block, finger) for block in blocks])
+        seen = np.concatenate([recordings.seen_in(block, finger) for block in blocks])
         lost.append(float((~seen).mean()))
         white.append(float(np.diff(moved[:, seen.all(axis=0)], axis=0).std() / np.sqrt(2.0)))
         weight = seen[..., None].astype(float)
@@ -161,7 +155,7 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
     return estimates, [("frames", f"{frames}, {dropped} dropped")], spectrum
 
 
-def identify_air(presses: PressSet, drift_px: float, *, rest: bool) -> list[Estimate]:
+def identify_air(presses: recordings.PressSet, drift_px: float, *, rest: bool) -> list[Estimate]:
     """Return the errors after tare and reference, from the air before each press.
 
     ``drift_px``: of the markers per √s. Without a recording at ``rest`` also the white noise of the
@@ -186,7 +180,9 @@ def identify_air(presses: PressSet, drift_px: float, *, rest: bool) -> list[Esti
     return result
 
 
-def estimate_delays(presses: Sequence[PressRecording], most: int = 40) -> dict[str, FloatArray]:
+def estimate_delays(
+    presses: Sequence[recordings.PressRecording], most: int = 40
+) -> dict[str, FloatArray]:
     """Return the delays of each press in s, in three series, NaN where undetermined.
 
     ``command_pose``: measured behind commanded descent; ``pose_wrench``: force behind travel;
@@ -203,7 +199,7 @@ DELAY_SYSTEMATIC_S = {"command_pose": 2e-4, "pose_wrench": 1.5e-3, "wrench_marke
 CREEP_S = 0.5  # time constant of the creep that the delay is separated from
 
 
-def _delays_of(press: PressRecording) -> tuple[float, float, float]:
+def _delays_of(press: recordings.PressRecording) -> tuple[float, float, float]:
     s, onset_s = press.signals, press.onset_s
     t_s = np.arange(onset_s - 0.15, onset_s + 1.9, 0.004)
     depth = float(np.interp(onset_s, s.pose_t_s, s.pose_mm[:, 2])) - s.pose_mm[:, 2]
@@ -260,7 +256,7 @@ def _low_pass(values: FloatArray, share: float) -> FloatArray:
     return np.asarray(values[0] + follow)
 
 
-def _mean_shear(press: PressRecording) -> tuple[FloatArray, FloatArray]:
+def _mean_shear(press: recordings.PressRecording) -> tuple[FloatArray, FloatArray]:
     """Return times (n,) and the mean vertical shear (n,) of the inner rows of both fingers, px."""
     inner = slice(18, 45)  # rows 2 to 4 stay in the picture
     fields = [f for f in press.signals.fields if np.isfinite(f.displacement_px[inner]).all()]
@@ -270,7 +266,7 @@ def _mean_shear(press: PressRecording) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def delay_estimates(series: dict[str, FloatArray]) -> tuple[list[Estimate], Delays]:
+def delay_estimates(series: dict[str, FloatArray]) -> tuple[list[Estimate], recordings.Delays]:
     """Return the delays, and those to be taken out of the time stamps: the significant ones."""
     found = {}
     for name, values in series.items():
@@ -286,10 +282,10 @@ def delay_estimates(series: dict[str, FloatArray]) -> tuple[list[Estimate], Dela
         e.value if e is not None and abs(e.value) > max(3.0 * e.sigma, 0.004) else 0.0
         for e in taken
     )
-    return list(found.values()), Delays(wrench, wrench + markers)
+    return list(found.values()), recordings.Delays(wrench, wrench + markers)
 
 
-def arm_compliance(presses: Sequence[PressRecording]) -> list[Estimate]:
+def arm_compliance(presses: Sequence[recordings.PressRecording]) -> list[Estimate]:
     """Return the stiffness of the arm along x, y and z, N/mm, from command, pose and wrench."""
     if any(len(press.signals.command_t_s) < 2 for press in presses):
         return []
@@ -305,7 +301,7 @@ def arm_compliance(presses: Sequence[PressRecording]) -> list[Estimate]:
     ]
 
 
-def _yielding(press: PressRecording) -> tuple[FloatArray, FloatArray]:
+def _yielding(press: recordings.PressRecording) -> tuple[FloatArray, FloatArray]:
     """Return pose less command (18, 3) and force (18, 3) in contact."""
     s, t_s = press.signals, press.onset_s + np.arange(0.2, 2.0, 0.1)
     pose = make_interp_spline(s.pose_t_s, s.pose_mm, k=1)(t_s)

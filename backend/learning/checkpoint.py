@@ -18,15 +18,8 @@ from safetensors.numpy import save as save_arrays
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, BenchDescription, read_json_model
 from touchdown.backend.core import InputError, read_limited, write_atomically
+from touchdown.backend.learning import inference
 from touchdown.backend.learning.calibration import PatchCalibration
-from touchdown.backend.learning.inference import (
-    ARCHITECTURES,
-    VECTOR_ORDER,
-    Modality,
-    NetworkShape,
-    expected_arrays,
-    modality_columns,
-)
 
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
@@ -67,9 +60,9 @@ class ModelCard(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(frozen=True, extra="forbid")
     format: Literal["touchdown-model/1"] = "touchdown-model/1"
     arch: str
-    hyper: NetworkShape
-    modality: Modality
-    vector_order: str = VECTOR_ORDER
+    hyper: inference.NetworkShape
+    modality: inference.Modality
+    vector_order: str = inference.VECTOR_ORDER
     rate_hz: int = 10
     frames: int = SAMPLES_PER_PROBE
     resampling: str = "markers linear between frames, wrench mean of the 100 ms before the tick"
@@ -170,12 +163,13 @@ def load_card(path: Path) -> ModelCard:
     """Load and check the card of the weights ``path``."""
     where = card_path(path)
     card = read_json_model(ModelCard, where, MAX_CARD_BYTES, FIX)
-    wanted = modality_columns(card.modality)
+    wanted = inference.modality_columns(card.modality)
     problems = {
-        f"architecture '{card.arch}' is not known": card.arch not in ARCHITECTURES,
+        f"architecture '{card.arch}' is not known": card.arch not in inference.ARCHITECTURES,
         f"it needs {card.frames} frames": card.frames != SAMPLES_PER_PROBE,
         f"it needs {card.rate_hz} Hz": card.rate_hz != 10,
-        f"its channels are ordered {card.vector_order}": card.vector_order != VECTOR_ORDER,
+        f"its channels are ordered {card.vector_order}": card.vector_order
+        != inference.VECTOR_ORDER,
         f"it has {card.hyper.inputs} inputs": card.hyper.inputs != wanted.stop - wanted.start,
     }
     for problem, applies in problems.items():
@@ -220,8 +214,10 @@ def parse_arrays(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
         raise _bad(path, f"The file is not a complete safetensors file ({error})") from error
 
 
-def _check_arrays(arrays: dict[str, NDArray[Any]], shape: NetworkShape, path: Path) -> None:
-    expected = expected_arrays(shape)
+def _check_arrays(
+    arrays: dict[str, NDArray[Any]], shape: inference.NetworkShape, path: Path
+) -> None:
+    expected = inference.expected_arrays(shape)
     if set(arrays) != set(expected):
         odd = ", ".join(sorted(set(arrays) ^ set(expected)))
         raise _bad(path, f"Missing or unexpected tensors: {odd}")

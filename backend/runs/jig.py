@@ -7,15 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    HandOverAwaited,
-    PhaseEntered,
-    Pose,
-    RefusedError,
-    Said,
-)
+from touchdown.backend import core
 from touchdown.backend.devices import JigEvidence, recent_positions_mm, travelled_mm
 from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.motions import MOVE_S, ask_operator, move_to, take_piece, wait
@@ -46,8 +38,10 @@ def pick_piece(bench: Bench) -> Plan[float]:
     """
     jig = _jig(bench)
     if bench.gripper.status().holding:
-        raise RefusedError("HOLDING", "A piece is held already: put it back into its jig first.")
-    yield PhaseEntered(bench.now_s(), "shift", 0)
+        raise core.RefusedError(
+            "HOLDING", "A piece is held already: put it back into its jig first."
+        )
+    yield core.PhaseEntered(bench.now_s(), "shift", 0)
     yield from wait(bench, SETTLE_S)
     yield from move_to(bench, jig)
     yield from wait(bench, SETTLE_S + WEIGH_S)
@@ -69,14 +63,14 @@ def return_piece(bench: Bench) -> Plan[None]:
     Raises ``RefusedError`` if it does not sit freely in the jig.
     """
     jig = _jig(bench)
-    yield PhaseEntered(bench.now_s(), "shift", 0)
+    yield core.PhaseEntered(bench.now_s(), "shift", 0)
     here = bench.arm.pose(max_age_s=0.2)
     high = _above(bench, jig)
-    yield from move_to(bench, Pose(here.x_mm, here.y_mm, high.z_mm))
+    yield from move_to(bench, core.Pose(here.x_mm, here.y_mm, high.z_mm))
     yield from move_to(bench, high)
     yield from move_to(bench, jig)
     yield from wait(bench, SETTLE_S)
-    yield PhaseEntered(bench.now_s(), "release", 0)
+    yield core.PhaseEntered(bench.now_s(), "release", 0)
     width_mm = bench.gripper.status().width_mm + bench.settings.collect.open_mm
     speed_mm_s = bench.settings.release.open_mm_s
     if bench.handed:
@@ -88,18 +82,18 @@ def return_piece(bench: Bench) -> Plan[None]:
     yield from wait(bench, SETTLE_S)
 
 
-def approach_with_piece(bench: Bench, place: Pose) -> Plan[None]:
+def approach_with_piece(bench: Bench, place: core.Pose) -> Plan[None]:
     """Carry the held piece over ``place``: up, across, and down."""
     high_mm = _above(bench, _jig(bench)).z_mm
     here = bench.arm.pose(max_age_s=0.2)
-    yield from move_to(bench, Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
-    yield from move_to(bench, Pose(place.x_mm, place.y_mm, high_mm))
+    yield from move_to(bench, core.Pose(here.x_mm, here.y_mm, max(here.z_mm, high_mm)))
+    yield from move_to(bench, core.Pose(place.x_mm, place.y_mm, high_mm))
     yield from move_to(bench, place)
 
 
 def wait_for_refit(bench: Bench) -> Plan[bool]:
     """Wait until the operator has refitted bottom and gels; raises ``CancelledError`` on a no."""
-    question = HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
+    question = core.HandOverAwaited(bench.now_s(), bench.bottom, gives=False, anew=True)
     if not (yield from ask_operator(bench, question, "a new mounting")):
         raise CancelledError("bottom and gels were not refitted")
     return True
@@ -107,7 +101,7 @@ def wait_for_refit(bench: Bench) -> Plan[bool]:
 
 def _hand_at_the_jaws(bench: Bench, *, gives: bool) -> Plan[None]:
     """Wait for the operator's hand at the jaws; raises ``CancelledError`` on a no."""
-    question = HandOverAwaited(bench.now_s(), bench.piece.name, gives)
+    question = core.HandOverAwaited(bench.now_s(), bench.piece.name, gives)
     if not (yield from ask_operator(bench, question, "the operator's hand")):
         raise CancelledError("the piece was not handed over")
 
@@ -120,10 +114,10 @@ def _weighed(bench: Bench, weight_n: float) -> Plan[None]:
     grams = 1e3 * weight_n / STANDARD_GRAVITY_M_S2
     what = f"The held piece weighs {grams:.0f} g; {piece.name} has {piece.mass_g:.0f} g"
     if piece.nominal and weight_n > 0:
-        yield Said(bench.now_s(), f"{what} by its file, which is nominal.")
+        yield core.Said(bench.now_s(), f"{what} by its file, which is nominal.")
         return
-    raise FaultError(
-        Fault(
+    raise core.FaultError(
+        core.Fault(
             "WRONG-WEIGHT",
             f"{what}.",
             "Nothing was probed; the piece stays in the gripper.",
@@ -138,8 +132,8 @@ def _vertical_n(bench: Bench) -> float:
     window = bench.sensing.raw.samples.window(now_s - WEIGH_S, now_s)
     vertical_n = window.values[:, 2]
     if not len(vertical_n) or not np.isfinite(vertical_n).all():
-        raise FaultError(
-            Fault(
+        raise core.FaultError(
+            core.Fault(
                 "FT-STALE",
                 "The force/torque sensor sent no valid sample while the weight was measured.",
                 "Nothing was probed; the gripper was not opened.",
@@ -150,7 +144,7 @@ def _vertical_n(bench: Bench) -> float:
     return float(np.mean(vertical_n))
 
 
-def _evidence(bench: Bench, jig: Pose) -> JigEvidence:
+def _evidence(bench: Bench, jig: core.Pose) -> JigEvidence:
     now_s = bench.now_s()
     places_mm = recent_positions_mm(bench.arm.poses, now_s)
     wrench = bench.sensing.wrench.window(now_s - 0.1, now_s).values
@@ -163,11 +157,11 @@ def _evidence(bench: Bench, jig: Pose) -> JigEvidence:
     )
 
 
-def _jig(bench: Bench) -> Pose:
+def _jig(bench: Bench) -> core.Pose:
     if bench.jig is None:
-        raise RefusedError("NO-JIG", "This bench has no taught place of a jig.")
+        raise core.RefusedError("NO-JIG", "This bench has no taught place of a jig.")
     return bench.jig
 
 
-def _above(bench: Bench, jig: Pose) -> Pose:
-    return Pose(jig.x_mm, jig.y_mm, jig.z_mm + bench.settings.collect.clearance_mm)
+def _above(bench: Bench, jig: core.Pose) -> core.Pose:
+    return core.Pose(jig.x_mm, jig.y_mm, jig.z_mm + bench.settings.collect.clearance_mm)

@@ -17,24 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from touchdown.backend import geometry
 from touchdown.backend.core import Fall, FloatArray, InputError, require_package
-from touchdown.backend.geometry import (
-    Body,
-    Outline,
-    Point,
-    Surface,
-    Tower,
-    TowerVerdict,
-    convex_cells,
-    geometry_of,
-    overlap_polygon,
-    piece_on_surface,
-    polygon_of,
-    rings_of,
-    rotated,
-    spread_points,
-    step_levels,
-)
 
 SPHERES_PER_FACE = 32
 SPHERE_RADIUS_MM = 0.05
@@ -67,7 +51,10 @@ HEADER = f"""
 
 
 def simulate_release(
-    tower: Tower, seconds: float = 1.5, frame_hz: float = 60.0, disturbance_mm: Point = (0.0, 0.0)
+    tower: geometry.Tower,
+    seconds: float = 1.5,
+    frame_hz: float = 60.0,
+    disturbance_mm: geometry.Point = (0.0, 0.0),
 ) -> tuple[bool, Fall]:
     """Simulate the release of a tower for ``seconds``.
 
@@ -104,7 +91,7 @@ def simulate_release(
     return fallen, Fall(np.arange(frames) / frame_hz, poses, names)
 
 
-def contradicts_analysis(verdict: TowerVerdict, fallen: bool) -> bool:
+def contradicts_analysis(verdict: geometry.TowerVerdict, fallen: bool) -> bool:
     """Return True if MuJoCo contradicts the exact analysis beyond its own error.
 
     The error is 0.2 mm of margin, 0.25 mm for towers of three or more bodies.
@@ -127,14 +114,14 @@ def import_mujoco() -> Any:
     return require_package("mujoco", "mujoco", "mujoco-core")
 
 
-def _kicked(tower: Tower, disturbance_mm: Point) -> Tower:
+def _kicked(tower: geometry.Tower, disturbance_mm: geometry.Point) -> geometry.Tower:
     top = tower.bodies[-1]
-    shift = rotated(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
+    shift = geometry.rotated(np.asarray(disturbance_mm, dtype=np.float64), -top.yaw_rad)
     x, y = (np.asarray(top.com_xy_mm) + shift).tolist()
-    return Tower((*tower.bodies[:-1], replace(top, com_xy_mm=(x, y))))
+    return geometry.Tower((*tower.bodies[:-1], replace(top, com_xy_mm=(x, y))))
 
 
-def _heights_mm(tower: Tower) -> list[float]:
+def _heights_mm(tower: geometry.Tower) -> list[float]:
     """Return the height of every body's lower face above the floor, at first touch."""
     heights = [0.0]
     for body in tower.bodies[:-1]:
@@ -143,16 +130,16 @@ def _heights_mm(tower: Tower) -> list[float]:
     return heights
 
 
-def _touchable_mm(tower: Tower) -> FloatArray:
+def _touchable_mm(tower: geometry.Tower) -> FloatArray:
     """Return the points (n, 3) that the topmost body can touch; on a flat face the centre."""
     if len(tower.bodies) > 1 and not tower.bodies[-2].surface.flat:
-        placed = piece_on_surface(tower)
+        placed = geometry.piece_on_surface(tower)
         if len(placed.points_mm):
             return np.column_stack([placed.points_mm, placed.heights_mm])
     return np.zeros((1, 3))
 
 
-def model_xml(tower: Tower) -> str:
+def model_xml(tower: geometry.Tower) -> str:
     """Return the MuJoCo model of a tower, in SI units."""
     meshes: list[str] = []
     bodies: list[str] = []
@@ -165,7 +152,9 @@ def model_xml(tower: Tower) -> str:
     )
 
 
-def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes: list[str]) -> str:
+def _body_xml(
+    body: geometry.Body, below: geometry.Body | None, tag: str, height_mm: float, meshes: list[str]
+) -> str:
     at = format_metres(*body.at_mm, height_mm)
     quat = f"{cos(body.yaw_rad / 2)!r} 0 0 {sin(body.yaw_rad / 2)!r}"
     parts = [_spheres_xml(rim_points(body.lower), SPHERE_RADIUS_MM)]
@@ -196,29 +185,29 @@ def _body_xml(body: Body, below: Body | None, tag: str, height_mm: float, meshes
     return f'<body pos="{at}" quat="{quat}">{free}{"".join(parts)}</body>'
 
 
-def surface_points(outline: Outline, surface: Surface) -> FloatArray:
+def surface_points(outline: geometry.Outline, surface: geometry.Surface) -> FloatArray:
     """Return the points (n, 3) that stand for a face that is not flat: edges, and a dome."""
     found = []
-    for part, lift_mm in step_levels(geometry_of(outline), surface):
+    for part, lift_mm in geometry.step_levels(geometry.geometry_of(outline), surface):
         points, heights = _on_level(part, surface)
         found.append(np.column_stack([points, heights + lift_mm]))
     return np.concatenate(found)
 
 
-def _on_level(part: Any, surface: Surface) -> tuple[FloatArray, FloatArray]:
-    points = spread_points(part, EDGE_MM, inside=bool(surface.dome_mm))
+def _on_level(part: Any, surface: geometry.Surface) -> tuple[FloatArray, FloatArray]:
+    points = geometry.spread_points(part, EDGE_MM, inside=bool(surface.dome_mm))
     return points, replace(surface, step_mm=0.0).heights_mm(points)
 
 
-def surface_prisms_xml(body: Body, tag: str, meshes: list[str]) -> str:
+def surface_prisms_xml(body: geometry.Body, tag: str, meshes: list[str]) -> str:
     """Return the upper half of a body whose upper face is not flat, as prisms.
 
     They are added to ``meshes`` under names that begin with ``tag``.
     """
     assert body.upper is not None
     geoms = []
-    for number, cell in enumerate(convex_cells(body.upper)):
-        for part, lift_mm in step_levels(polygon_of(cell), body.surface):
+    for number, cell in enumerate(geometry.convex_cells(body.upper)):
+        for part, lift_mm in geometry.step_levels(geometry.polygon_of(cell), body.surface):
             top, heights = _on_level(part, body.surface)
             if not len(top):
                 continue
@@ -236,7 +225,7 @@ def format_metres(*lengths_mm: float) -> str:
     return " ".join(repr(float(length) * 1e-3) for length in lengths_mm)
 
 
-def inertia_xml(body: Body) -> str:
+def inertia_xml(body: geometry.Body) -> str:
     """Return the inertia of a solid block, or cylinder, with the size of the lower outline."""
     mass = body.mass_g * 1e-3
     x, y = (extent * 1e-3 for extent in body.lower.half_extents_mm)
@@ -248,7 +237,9 @@ def inertia_xml(body: Body) -> str:
     return f'<inertial pos="{at}" mass="{mass!r}" diaginertia="{moments}"/>'
 
 
-def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]) -> str:
+def shape_xml(
+    outline: geometry.Outline, low_mm: float, high_mm: float, tag: str, meshes: list[str]
+) -> str:
     """Return the shape between two heights as cylinder, box, or prism meshes.
 
     Prisms are added to ``meshes`` under names that begin with ``tag``.
@@ -262,7 +253,7 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
         centre, size = format_metres(0, 0, middle), format_metres(x, y, half)
         return f'<geom type="box" pos="{centre}" size="{size}"/>'
     geoms = []
-    for number, cell in enumerate(convex_cells(outline)):
+    for number, cell in enumerate(geometry.convex_cells(outline)):
         name = f"{tag}_{number}" if number else tag
         corners = " ".join(
             format_metres(a, b, height) for height in (low_mm, high_mm) for a, b in cell.tolist()
@@ -272,13 +263,13 @@ def shape_xml(outline: Outline, low_mm: float, high_mm: float, tag: str, meshes:
     return "".join(geoms)
 
 
-def _spheres_xml(points_mm: list[Point], height_mm: float) -> str:
+def _spheres_xml(points_mm: list[geometry.Point], height_mm: float) -> str:
     return "".join(
         f'<geom class="rim" pos="{format_metres(x, y, height_mm)}"/>' for x, y in points_mm
     )
 
 
-def contact_corners(body: Body, below: Body) -> list[Point]:
+def contact_corners(body: geometry.Body, below: geometry.Body) -> list[geometry.Point]:
     """Return the corners (mm, in the frame of ``body``) of its contact with ``below``.
 
     Empty for two convex faces, whose rims are near enough to all corners of the contact.
@@ -287,17 +278,19 @@ def contact_corners(body: Body, below: Body) -> list[Point]:
     if "region" not in (body.lower.kind, below.upper.kind):
         return []
     away = np.subtract(body.at_mm, below.at_mm)
-    at = rotated(away, -below.yaw_rad)
+    at = geometry.rotated(away, -below.yaw_rad)
     turn = body.yaw_rad - below.yaw_rad
-    path = overlap_polygon(body.lower, (float(at[0]), float(at[1])), below.upper, turn)
-    kept: list[Point] = []
-    for x, y in rotated(np.concatenate([np.empty((0, 2)), *rings_of(path)]) - at, -turn).tolist():
+    path = geometry.overlap_polygon(body.lower, (float(at[0]), float(at[1])), below.upper, turn)
+    kept: list[geometry.Point] = []
+    for x, y in geometry.rotated(
+        np.concatenate([np.empty((0, 2)), *geometry.rings_of(path)]) - at, -turn
+    ).tolist():
         if all(abs(x - a) + abs(y - b) > APART_MM for a, b in kept):
             kept.append((x, y))
     return kept
 
 
-def rim_points(outline: Outline, count: int = SPHERES_PER_FACE) -> list[Point]:
+def rim_points(outline: geometry.Outline, count: int = SPHERES_PER_FACE) -> list[geometry.Point]:
     """Return the centres (mm) of about ``count`` rim spheres, one at each corner of a polygon.
 
     Those of a region lie on all its rings, which may need more of them.
@@ -312,10 +305,10 @@ def rim_points(outline: Outline, count: int = SPHERES_PER_FACE) -> list[Point]:
     return [(float(x), float(y)) for x, y in points.reshape(-1, 2)]
 
 
-def _ring_points(outline: Outline, count: int) -> list[Point]:
+def _ring_points(outline: geometry.Outline, count: int) -> list[geometry.Point]:
     rings = [np.array(ring) for ring in outline.rings]
     spacing = perimeter_mm(outline) / count
-    found: list[Point] = []
+    found: list[geometry.Point] = []
     for ring in rings:
         along = np.roll(ring, -1, axis=0) - ring
         bearing = np.arctan2(along[:, 1], along[:, 0])
@@ -330,7 +323,7 @@ def _ring_points(outline: Outline, count: int) -> list[Point]:
     return found
 
 
-def perimeter_mm(outline: Outline) -> float:
+def perimeter_mm(outline: geometry.Outline) -> float:
     """Return the length of all edges of an outline; a circle counts as a polygon."""
     rings = [np.array(ring) for ring in outline.rings] or [outline.polygon()]
     return float(sum(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum() for ring in rings))

@@ -21,19 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from touchdown.widgets.base import (
-    ElidedLabel,
-    ModelIndex,
-    Theme,
-    WrappedItemDelegate,
-    hbox,
-    label,
-    open_over,
-    scroll_area,
-    tr,
-    ui_font,
-    vbox,
-)
+from touchdown.widgets import base
 
 GAP = 10
 PARTS_PX = 220  # width of the list
@@ -47,12 +35,12 @@ class PictureCard(QWidget):
         self.picture = QLabel()
         self.picture.setFixedSize(size)
         self.picture.setAccessibleName(name)
-        column = vbox(parent=self, margins=(0, 0, 0, 0), spacing=4)
+        column = base.vbox(parent=self, margins=(0, 0, 0, 0), spacing=4)
         if title:
-            column.addWidget(label(title, "muted"))
+            column.addWidget(base.label(title, "muted"))
         column.addWidget(self.picture)
         if note:
-            words = label(note, "small", wrap=True)
+            words = base.label(note, "small", wrap=True)
             words.setFixedWidth(size.width())
             column.addWidget(words)
         column.addStretch(1)
@@ -70,16 +58,19 @@ class ReportSheet(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._window = parent
-        self.setWindowTitle(tr("Report of experiments"))
-        self.head, self.banner = label("", "head", wrap=True), label("", "title", wrap=True)
+        self.setWindowTitle(base.tr("Report of experiments"))
+        self.head, self.banner = (
+            base.label("", "head", wrap=True),
+            base.label("", "title", wrap=True),
+        )
         self.banner.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.file = ElidedLabel("small")
+        self.file = base.ElidedLabel("small")
         self.parts = QListWidget()
-        self.parts.setAccessibleName(tr("Parts of the report"))
+        self.parts.setAccessibleName(base.tr("Parts of the report"))
         self.parts.setFixedWidth(PARTS_PX)
-        WrappedItemDelegate(self.parts)
+        base.WrappedItemDelegate(self.parts)
         self.parts.currentRowChanged.connect(self.part_chosen)
-        self.room = scroll_area()
+        self.room = base.scroll_area()
         self.room.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.browser = _button("Open in browser", "Show this report as a web page")
         self.other = _button("Open another", "Open another report")
@@ -88,14 +79,16 @@ class ReportSheet(QDialog):
     def _arrange(self) -> None:
         close = _button("Close", "")
         close.clicked.connect(self.close)
-        top = hbox((self.head, 1), (self.banner, 1))
-        middle = hbox(self.parts, (self.room, 1), spacing=GAP)
-        foot = hbox(1, self.browser, self.other, close)
-        vbox(top, self.file, (middle, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8)
+        top = base.hbox((self.head, 1), (self.banner, 1))
+        middle = base.hbox(self.parts, (self.room, 1), spacing=GAP)
+        foot = base.hbox(1, self.browser, self.other, close)
+        base.vbox(
+            top, self.file, (middle, 1), foot, parent=self, margins=(14, 12, 14, 12), spacing=8
+        )
 
     def open_large(self) -> None:
         """Show the sheet over most of its window."""
-        open_over(self, self._window, (1400, 900), 60)
+        base.open_over(self, self._window, (1400, 900), 60)
 
     def show_head(self, title: str, banner: str, file: str, parts: Sequence[str]) -> None:
         """Show title, banner, file and the names of the parts; select the first."""
@@ -112,15 +105,15 @@ class ReportSheet(QDialog):
         """Show one part from its top."""
         body = QWidget()
         body.setObjectName("frame")
-        vbox(*widgets, 1, parent=body, margins=(2, 0, GAP, 0), spacing=GAP)
+        base.vbox(*widgets, 1, parent=body, margins=(2, 0, GAP, 0), spacing=GAP)
         self.room.setWidget(body)
         self.room.verticalScrollBar().setValue(0)
 
 
 def _button(text: str, tip: str) -> QPushButton:
-    button = QPushButton(tr(text))
+    button = QPushButton(base.tr(text))
     button.setAutoDefault(False)
-    button.setToolTip(tr(tip))
+    button.setToolTip(base.tr(tip))
     return button
 
 
@@ -141,7 +134,7 @@ class ReportGrid(QTableWidget):
 
     def __init__(
         self,
-        theme: Theme,
+        theme: base.Theme,
         name: str,
         columns: Sequence[str],
         rows: Sequence[tuple[str, Sequence[ReportCell]]],
@@ -200,11 +193,11 @@ def _item(look: ReportCell, row: str, column: str) -> QTableWidgetItem:
 
 
 class _CellPainter(QStyledItemDelegate):
-    def __init__(self, theme: Theme, parent: ReportGrid) -> None:
+    def __init__(self, theme: base.Theme, parent: ReportGrid) -> None:
         super().__init__(parent)
         self._theme = theme
 
-    def sizeHint(self, option: QStyleOptionViewItem, index: ModelIndex) -> QSize:
+    def sizeHint(self, option: QStyleOptionViewItem, index: base.ModelIndex) -> QSize:
         look: ReportCell = index.data(Qt.ItemDataRole.UserRole)
         value, small = (QFontMetrics(font) for font in self._fonts())
         wide = [value.horizontalAdvance(look.value)]
@@ -212,7 +205,9 @@ class _CellPainter(QStyledItemDelegate):
         high = value.height() + len(look.lines) * small.height()
         return QSize(max(wide) + 2 * PAD_X, high + 2 * PAD_Y)
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
+    def paint(
+        self, painter: QPainter, option: QStyleOptionViewItem, index: base.ModelIndex
+    ) -> None:
         look: ReportCell = index.data(Qt.ItemDataRole.UserRole)
         tokens = self._theme.tokens
         painter.save()
@@ -228,4 +223,4 @@ class _CellPainter(QStyledItemDelegate):
 
     def _fonts(self) -> tuple[QFont, QFont]:
         scale = self._theme.scale
-        return ui_font(scale, weight=600), ui_font(scale, 0.85)
+        return base.ui_font(scale, weight=600), base.ui_font(scale, 0.85)

@@ -22,6 +22,7 @@ import numpy as np
 
 from touchdown.backend.config import ForceTorqueSettings
 from touchdown.backend.core import Fault, FaultError, FloatArray, SampleStream
+from touchdown.backend.devices import protocols
 from touchdown.backend.devices.force_torque.driver import (
     FIRST_BYTES,
     NotAnsweredError,
@@ -34,13 +35,6 @@ from touchdown.backend.devices.force_torque.driver import (
 )
 from touchdown.backend.devices.framing import NO_WRENCH, ProtocolError, Wrench
 from touchdown.backend.devices.identification import identify_device
-from touchdown.backend.devices.protocols import (
-    ArrivalCounter,
-    ConnectionSteps,
-    DeviceState,
-    Health,
-    Identity,
-)
 from touchdown.backend.devices.sensor_faults import ArrivalMonitor
 
 CHUNK_S = 0.25  # the arrival with the least delay is kept per interval of this length
@@ -457,23 +451,23 @@ class ForceTorqueReader:
         self._thread: threading.Thread | None = None
         self._stop, self._first = threading.Event(), threading.Event()
         self._lock = threading.Lock()
-        self.steps = ConnectionSteps()
-        self._state = DeviceState.CLOSED
+        self.steps = protocols.ConnectionSteps()
+        self._state = protocols.DeviceState.CLOSED
         self._description: SensorDescription | None = None
         self._readout = WrenchStamper(settings, 1.0)
         self._resynchronised = 0
         self._junk = b""  # first bytes since the last sample
-        self._arrivals = ArrivalCounter()
+        self._arrivals = protocols.ArrivalCounter()
         self._pace = ArrivalMonitor(1.0)
         self.fault: Fault | None = None
 
     @property
-    def state(self) -> DeviceState:
+    def state(self) -> protocols.DeviceState:
         """State of the connection."""
         return self._state
 
     @property
-    def identity(self) -> Identity | None:
+    def identity(self) -> protocols.Identity | None:
         """Identity, None before the first connection."""
         return self._description.identity if self._description else None
 
@@ -488,14 +482,14 @@ class ForceTorqueReader:
         return np.array(self._description.rated if self._description else [np.nan] * 6)
 
     @property
-    def health(self) -> Health:
+    def health(self) -> protocols.Health:
         """Rate over the last second, age of the newest sample, counts."""
         return self._arrivals.health(self._now_s(), self._readout.lost)
 
     @property
     def condition(self) -> str:
         """One word: good, slow, stuck, stale; fault or closed by the state."""
-        if self._state is not DeviceState.READY:
+        if self._state is not protocols.DeviceState.READY:
             return str(self._state.value)
         if self.health.age_s > STALE_S:
             return "stale"
@@ -524,10 +518,10 @@ class ForceTorqueReader:
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
         """Bring the sensor to streaming and wait for the first sample."""
-        if self._state is DeviceState.READY:
+        if self._state is protocols.DeviceState.READY:
             return
         self.close()
-        self._state, self.fault = DeviceState.CONNECTING, None
+        self._state, self.fault = protocols.DeviceState.CONNECTING, None
         self.steps.begin()
         try:
             link, driver = self._begin(cancel)
@@ -551,7 +545,9 @@ class ForceTorqueReader:
 
     def _settle(self) -> None:
         with self._lock:
-            self._state = DeviceState.READY if self.fault is None else DeviceState.FAULT
+            self._state = (
+                protocols.DeviceState.READY if self.fault is None else protocols.DeviceState.FAULT
+            )
 
     def close(self) -> None:
         """Stop the stream and close the link."""
@@ -559,7 +555,7 @@ class ForceTorqueReader:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        self._state = DeviceState.CLOSED
+        self._state = protocols.DeviceState.CLOSED
 
     def _check_still(self, timeout_s: float, cancel: threading.Event) -> None:
         """Raise the fault of a lost link, or of readings that no sensor in still air delivers."""
@@ -637,7 +633,7 @@ class ForceTorqueReader:
         self._stop.clear()
         self._first.clear()
         self._resynchronised = 0
-        self._arrivals = ArrivalCounter()
+        self._arrivals = protocols.ArrivalCounter()
         self._pace = ArrivalMonitor(period_s)
 
     def _read(self, link: SensorLink, driver: WrenchDriver) -> None:
@@ -691,4 +687,4 @@ class ForceTorqueReader:
 
     def _latch(self, fault: Fault) -> None:
         with self._lock:
-            self.fault, self._state = fault, DeviceState.FAULT
+            self.fault, self._state = fault, protocols.DeviceState.FAULT

@@ -11,6 +11,7 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
+from touchdown.backend import emulation
 from touchdown.backend.config import HardwareSettings, MelfaSettings
 from touchdown.backend.core import FloatArray
 from touchdown.backend.devices.melfa.emulated_channels import (
@@ -21,16 +22,6 @@ from touchdown.backend.devices.melfa.emulated_channels import (
 )
 from touchdown.backend.devices.melfa.emulated_controller import STREAM, EmulatedController
 from touchdown.backend.devices.melfa.realtime_protocol import MxtCommand
-from touchdown.backend.emulation import (
-    CHUNK,
-    BenchTables,
-    DeviceServer,
-    Emulation,
-    EmulationChoice,
-    Faults,
-    UdpServer,
-    apply_faults,
-)
 
 CALLER_LEFT_S = 0.1  # silence of the caller of the stream after which another one is followed
 TICK_S = 0.004  # longest sleep between two polls; during a program, until the next cycle
@@ -61,7 +52,7 @@ class EmulatedMelfa:
         return EmulatedCommands(self.controller)
 
 
-class MelfaServer(DeviceServer):
+class MelfaServer(emulation.DeviceServer):
     """Serves ``device`` on ``host``; port 0 takes a free one, see ``settings``."""
 
     def __init__(
@@ -69,10 +60,10 @@ class MelfaServer(DeviceServer):
         device: EmulatedMelfa,
         host: str = "127.0.0.1",
         ports: tuple[int, int, int] = (0, 0, 0),
-        faults: Faults | None = None,
+        faults: emulation.Faults | None = None,
     ) -> None:
         """``ports``: commands, STOP, stream."""
-        super().__init__(faults or Faults("arm"))
+        super().__init__(faults or emulation.Faults("arm"))
         self._device = device
         self._sources: list[socket.socket] = []
         self._sessions: dict[socket.socket, EmulatedCommands] = {}
@@ -176,7 +167,7 @@ class MelfaServer(DeviceServer):
         commands motion, other callers are ignored.
         """
         try:
-            data, (host, port) = stream.recvfrom(CHUNK)
+            data, (host, port) = stream.recvfrom(emulation.CHUNK)
         except (BlockingIOError, ConnectionError):
             return
         now_s, caller = self._log_received(data), (host, port)
@@ -207,7 +198,7 @@ class MelfaServer(DeviceServer):
 
     def _answer(self, client: socket.socket, session: EmulatedCommands) -> None:
         try:
-            data = client.recv(CHUNK)
+            data = client.recv(emulation.CHUNK)
         except (ConnectionError, TimeoutError):
             data = b""
         if not data:
@@ -255,16 +246,18 @@ class MelfaServer(DeviceServer):
                     controller.release_emergency_stop()
 
 
-def emulate_melfa(choice: EmulationChoice, faults: Faults) -> Emulation:
+def emulate_melfa(
+    choice: emulation.EmulationChoice, faults: emulation.Faults
+) -> emulation.Emulation:
     """Serve the stream on the port, commands and STOP on the two ports above it."""
     port = choice.network_port()
     ports = (port + 1, port + 2, port) if port else (0, 0, 0)
     settings = HardwareSettings.model_validate({"melfa": {"mxt": {"mxttout": TIMEOUT_CYCLES}}})
     front = MelfaServer(EmulatedMelfa(settings.melfa), choice.host, ports, faults=faults)
-    return Emulation((front,), melfa_tables(front))
+    return emulation.Emulation((front,), melfa_tables(front))
 
 
-def melfa_tables(front: MelfaServer) -> BenchTables:
+def melfa_tables(front: MelfaServer) -> emulation.BenchTables:
     """Return the tables of a bench file for an emulated arm."""
     served = front.settings
     return {
@@ -274,13 +267,15 @@ def melfa_tables(front: MelfaServer) -> BenchTables:
     }
 
 
-def emulate_monitor(choice: EmulationChoice, faults: Faults) -> Emulation:
+def emulate_monitor(
+    choice: emulation.EmulationChoice, faults: emulation.Faults
+) -> emulation.Emulation:
     """Serve the force that the controller reports every cycle."""
-    sensor = EmulatedMonitor(apply_faults(choice.wrench, faults))
+    sensor = EmulatedMonitor(emulation.apply_faults(choice.wrench, faults))
     sensor.pace.faults = faults
-    front = UdpServer(sensor, choice.host, choice.network_port(), faults=faults)
-    tables: BenchTables = {
+    front = emulation.UdpServer(sensor, choice.host, choice.network_port(), faults=faults)
+    tables: emulation.BenchTables = {
         "ft": {"driver": "melfa", "address": front.url},
         "melfa.monitor": {"type_force": TYPE_FORCE},
     }
-    return Emulation((front,), tables)
+    return emulation.Emulation((front,), tables)

@@ -28,13 +28,8 @@ from touchdown.backend.core import (
     tilt_rad,
 )
 from touchdown.backend.devices.framing import ProtocolError
+from touchdown.backend.devices.melfa import kinematics
 from touchdown.backend.devices.melfa.faults import START, VOID, Refusal, lost_fault, oversize_fault
-from touchdown.backend.devices.melfa.kinematics import (
-    STEPS_RAD,
-    MelfaPlacement,
-    check_joints,
-    check_step,
-)
 from touchdown.backend.devices.melfa.realtime_protocol import (
     CYCLE_S,
     AxisValues,
@@ -209,7 +204,7 @@ class StreamOutput:
 class StreamCore:
     """State machine of the stream; not thread-safe."""
 
-    def __init__(self, settings: MelfaSettings, placing: MelfaPlacement) -> None:
+    def __init__(self, settings: MelfaSettings, placing: kinematics.MelfaPlacement) -> None:
         self._settings, self._placing = settings, placing
         self.phase = Phase.IDLE
         self.replies = ReplyFilter()
@@ -383,8 +378,8 @@ class StreamCore:
                 command_mm, turn, joints = self._next_joints(program, felt)
             else:
                 command_mm, turn, joints = self._next_place(program, felt)
-            check_joints(joints)
-            check_step(self.sent_rad, joints, self._settings.mxt.step_fraction)
+            kinematics.check_joints(joints)
+            kinematics.check_step(self.sent_rad, joints, self._settings.mxt.step_fraction)
         except RefusedError as error:
             program.motion.end(refused_fault(error))
             self.program = None
@@ -436,7 +431,7 @@ class StreamCore:
         """Return the permitted lead of a joint: three cycles; turns move joints faster."""
         if isinstance(program, JointTravelProgram | JointJogProgram):
             return LEAD_CYCLES * CYCLE_S * max(program.speed_rad_s, LEAST_LEAD_RAD_S)
-        return LEAD_CYCLES * float((STEPS_RAD * self._settings.mxt.step_fraction).max())
+        return LEAD_CYCLES * float((kinematics.STEPS_RAD * self._settings.mxt.step_fraction).max())
 
     def _within_lead(self, wanted_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         lead_mm = LEAD_CYCLES * CYCLE_S * max(speed_mm_s, LEAST_LEAD_MM_S)

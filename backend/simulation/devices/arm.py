@@ -10,21 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from touchdown.backend import core
 from touchdown.backend.config import MelfaSettings
-from touchdown.backend.core import (
-    IDENTITY_ROTATION,
-    LEVEL_TOLERANCE_RAD,
-    Fault,
-    FaultError,
-    FloatArray,
-    Pose,
-    RefusedError,
-    SampleStream,
-    pose_rotation,
-    require_unrotated,
-    rotation_vector,
-    tilt_rad,
-)
 from touchdown.backend.devices import (
     RETREAT_MM,
     RETREAT_MM_S,
@@ -71,33 +58,33 @@ class SimJoints:
         self._world = world
         self._last = np.zeros(6)
 
-    def of(self, place: HandPose) -> FloatArray:
+    def of(self, place: HandPose) -> core.FloatArray:
         """Return the (6,) joints, rad, of a pose, near the last ones; raises ``RefusedError``."""
         self._last = self._placing.joints(place[0], self._last, place[1])
         return self._last.copy()
 
-    def place(self, joints_rad: FloatArray) -> HandPose:
+    def place(self, joints_rad: core.FloatArray) -> HandPose:
         """Return the pose of the hand for (6,) joints."""
         return self._placing.pivot_mm(joints_rad), self._placing.turn(joints_rad)
 
-    def allowed(self, place: HandPose) -> Fault | None:
+    def allowed(self, place: HandPose) -> core.Fault | None:
         """Return the reason why ``place`` is not allowed, or None."""
         try:
             check_joints(self.of(place))
-        except RefusedError as error:
+        except core.RefusedError as error:
             return _pose_fault(error.reason, error.detail, "Choose another path or pose.")
-        turned = float(np.linalg.norm(rotation_vector(place[1]))) > LEVEL_TOLERANCE_RAD
+        turned = float(np.linalg.norm(core.rotation_vector(place[1]))) > core.LEVEL_TOLERANCE_RAD
         if turned and not self._world.clear_mm(place[0]) >= MIN_TURNED_HEIGHT_MM:
             what = (
-                f"The hand is turned (tilted by {math.degrees(tilt_rad(place[1])):.1f}°): "
+                f"The hand is turned (tilted by {math.degrees(core.tilt_rad(place[1])):.1f}°): "
                 f"it would come within {MIN_TURNED_HEIGHT_MM:.0f} mm of the surface."
             )
             return _pose_fault("TURNED-LOW", what, "Go up, or level the hand first.")
         return None
 
 
-def _pose_fault(code: str, what: str, next_step: str) -> Fault:
-    return Fault(code, what, "The arm stands still.", next_step, "arm")
+def _pose_fault(code: str, what: str, next_step: str) -> core.Fault:
+    return core.Fault(code, what, "The arm stands still.", next_step, "arm")
 
 
 _INF = math.inf
@@ -111,7 +98,11 @@ class SimArm(SimDevice):
     """
 
     def __init__(
-        self, world: World, poses: SampleStream, commands: SampleStream, now_s: Callable[[], float]
+        self,
+        world: World,
+        poses: core.SampleStream,
+        commands: core.SampleStream,
+        now_s: Callable[[], float],
     ) -> None:
         super().__init__("arm", "simulated arm", now_s)
         self._world, self.poses, self._commands = world, poses, commands
@@ -152,9 +143,9 @@ class SimArm(SimDevice):
     def _require_power(self) -> None:
         self.require_ready()
         if not self._powered:
-            raise FaultError(servo_off_fault(self.name))
+            raise core.FaultError(servo_off_fault(self.name))
 
-    def pose(self, max_age_s: float) -> Pose:
+    def pose(self, max_age_s: float) -> core.Pose:
         """Return the measured pose; raises ``StaleSampleError`` if it is older."""
         _, values = self.poses.latest(self._now_s(), max_age_s)
         return _pose(values, self._world.drive.turn)
@@ -162,11 +153,11 @@ class SimArm(SimDevice):
     # -- moves ------------------------------------------------------------------------------------
 
     def move_to(
-        self, target: Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
+        self, target: core.Pose, speed_mm_s: float, turn_rad_s: float = TURN_RAD_S
     ) -> CommandedMotion:
         """Move straight to ``target`` with rotation; ValueError for invalid numbers."""
         self._require_power()
-        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), pose_rotation(target)
+        goal, turn = np.array([target.x_mm, target.y_mm, target.z_mm]), core.pose_rotation(target)
         speeds = (speed_mm_s, turn_rad_s)
         if not (np.isfinite([*goal, *turn.ravel()]).all() and all(0.0 < v < _INF for v in speeds)):
             raise ValueError("target and speed must be finite, the speed positive")
@@ -174,7 +165,7 @@ class SimArm(SimDevice):
                 "speed_mm_s": speed_mm_s}  # fmt: skip
         with self._lock:
             drive = self._world.drive
-            if turn is IDENTITY_ROTATION and drive.turn is IDENTITY_ROTATION:
+            if turn is core.IDENTITY_ROTATION and drive.turn is core.IDENTITY_ROTATION:
                 return self._take(CommandedMotion(sent), self._world.travel(goal, speed_mm_s))
             sent |= {"rx_rad": target.rx_rad, "ry_rad": target.ry_rad, "rz_rad": target.rz_rad,
                      "turn_rad_s": turn_rad_s}  # fmt: skip
@@ -193,7 +184,7 @@ class SimArm(SimDevice):
         until_s = self._now_s() + for_s
         sent = dict(zip(("x_mm_s", "y_mm_s", "z_mm_s"), velocity_mm_s, strict=True))
         with self._lock:
-            if turning.any() or self._world.drive.turn is not IDENTITY_ROTATION:
+            if turning.any() or self._world.drive.turn is not core.IDENTITY_ROTATION:
                 sent |= dict(zip(("rx_rad_s", "ry_rad_s", "rz_rad_s"), turn_rad_s, strict=True))
                 make = partial(SimRotationJog, self._place(), self._joints.allowed)
                 turned, motion = self._going_on(SimRotationJog, make, sent)
@@ -220,7 +211,7 @@ class SimArm(SimDevice):
         """Lowest and highest angle of each joint."""
         return JOINT_RANGES
 
-    def place_of(self, joints_rad: Joints) -> Pose:
+    def place_of(self, joints_rad: Joints) -> core.Pose:
         """Return the pose of the hand for these joints."""
         return _pose(*self._joints.place(np.array(joints_rad)))
 
@@ -255,7 +246,7 @@ class SimArm(SimDevice):
     def press(self, command: PressCommand) -> ArmPress:
         """Press compliantly straight down; refused if the hand is rotated."""
         self._require_power()
-        require_unrotated(self._world.drive.turn)
+        core.require_unrotated(self._world.drive.turn)
         with self._lock:
             program = self._world.press(command)
             motion = ArmPress(press_fields(command))
@@ -290,7 +281,7 @@ class SimArm(SimDevice):
         """Stop in the next cycle; equal to ``stop`` in the simulation."""
         self.stop()
 
-    def deliver(self, ends_s: FloatArray, pose_mm: FloatArray, *, silent: bool) -> None:
+    def deliver(self, ends_s: core.FloatArray, pose_mm: core.FloatArray, *, silent: bool) -> None:
         """Process the position measured at the end of each cycle, and the end of a motion."""
         if self.ready and not silent:
             rows = len(ends_s), 3
@@ -309,7 +300,7 @@ class SimArm(SimDevice):
         return self._world.drive.command_mm, self._world.drive.turn
 
     def _begin(
-        self, sent: Mapping[str, float], program: SimProgram, fault: Fault | None
+        self, sent: Mapping[str, float], program: SimProgram, fault: core.Fault | None
     ) -> CommandedMotion:
         """Start a move with rotation; it fails at once if its end is not allowed."""
         motion = CommandedMotion(sent)
@@ -335,8 +326,8 @@ class SimArm(SimDevice):
         return self._start_motion(motion)
 
 
-def _pose(position_mm: FloatArray, turn: FloatArray) -> Pose:
+def _pose(position_mm: core.FloatArray, turn: core.FloatArray) -> core.Pose:
     x, y, z = position_mm.tolist()
-    if turn is IDENTITY_ROTATION:
-        return Pose(x, y, z)
-    return Pose(x, y, z, *rotation_vector(turn).tolist())
+    if turn is core.IDENTITY_ROTATION:
+        return core.Pose(x, y, z)
+    return core.Pose(x, y, z, *core.rotation_vector(turn).tolist())

@@ -8,14 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from touchdown.backend import core
-from touchdown.backend.devices import (
-    ArrivalMonitor,
-    CommandedMotion,
-    DeviceState,
-    GripStatus,
-    stopped_fault,
-)
+from touchdown.backend import core, devices
 from touchdown.backend.devices.force_torque import overload_fault, range_text
 from touchdown.backend.emulation import DisturbanceScript
 from touchdown.backend.simulation.devices.connection import SimDevice
@@ -33,7 +26,7 @@ class SimGripper(SimDevice):
         self._world = world
         super().__init__("gripper", "simulated gripper", now_s)
         self._rng = np.random.default_rng([world.scene.seed, world.scene.number, 6])
-        self._status = GripStatus(world.jaws.width_mm, 0.0, False)
+        self._status = devices.GripStatus(world.jaws.width_mm, 0.0, False)
 
     def close(self) -> None:
         """Close; the jaws stay as they are."""
@@ -45,11 +38,11 @@ class SimGripper(SimDevice):
         status = self._status
         return {"kind": "simulated", "width_mm": status.width_mm, "force_n": status.force_n}
 
-    def status(self) -> GripStatus:
+    def status(self) -> devices.GripStatus:
         """Return the measurement of the last cycle."""
         return self._status
 
-    def grip(self, force_n: float) -> CommandedMotion:
+    def grip(self, force_n: float) -> devices.CommandedMotion:
         """Close until the piece is held with ``force_n`` per finger; refused on a rotated hand."""
         self.require_ready()
         core.require_unrotated(self._world.drive.turn)
@@ -57,9 +50,9 @@ class SimGripper(SimDevice):
             raise ValueError("the grip force must be positive")
         with self._lock:
             self._world.jaws.close(force_n)
-            return self._start_motion(CommandedMotion({"force_n": force_n}))
+            return self._start_motion(devices.CommandedMotion({"force_n": force_n}))
 
-    def open_to(self, width_mm: float, speed_mm_s: float) -> CommandedMotion:
+    def open_to(self, width_mm: float, speed_mm_s: float) -> devices.CommandedMotion:
         """Open to ``width_mm``; a held piece is released."""
         self.require_ready()
         if not (0.0 <= width_mm < float("inf") and 0.0 < speed_mm_s < float("inf")):
@@ -67,14 +60,14 @@ class SimGripper(SimDevice):
         with self._lock:
             self._world.jaws.open_to(width_mm, speed_mm_s)
             return self._start_motion(
-                CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s})
+                devices.CommandedMotion({"width_mm": width_mm, "speed_mm_s": speed_mm_s})
             )
 
     def stop(self) -> None:
         """Stop; the grip is kept."""
         with self._lock:
             self._world.jaws.halt()
-            self._end_motion(stopped_fault(self.name))
+            self._end_motion(devices.stopped_fault(self.name))
 
     def deliver(self, t_s: float, cycles: int = 1, *, silent: bool = False) -> None:
         """Measure width and force of the last cycle, and process the end of a motion.
@@ -85,7 +78,9 @@ class SimGripper(SimDevice):
         width, force = self._rng.standard_normal((cycles, 2))[-1].tolist()
         if self.ready and not silent:
             force_n = jaws.force_n + FORCE_NOISE_N * force if jaws.force_n > 0.0 else 0.0
-            self._status = GripStatus(jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding)
+            self._status = devices.GripStatus(
+                jaws.width_mm + WIDTH_NOISE_MM * width, force_n, jaws.holding
+            )
             self.arrived(t_s, cycles)
         with self._lock:
             if not jaws.moving:
@@ -167,7 +162,7 @@ class SimForceTorque(SimDevice):
     ) -> None:
         self.samples, self._usual_hz = samples, usual_hz  # NaN beyond the rated range
         self.fault: core.Fault | None = None
-        self._pace = ArrivalMonitor(1.0 / usual_hz)
+        self._pace = devices.ArrivalMonitor(1.0 / usual_hz)
         super().__init__("force_torque", "simulated wrist sensor", now_s)
 
     def connect(self, timeout_s: float, cancel: threading.Event) -> None:
@@ -192,12 +187,12 @@ class SimForceTorque(SimDevice):
 
     def deliver(self, t_s: core.FloatArray, values: core.FloatArray) -> bool:
         """Put one block into the stream; return True if samples were delivered."""
-        if self.state is DeviceState.CLOSED or not len(t_s):
+        if self.state is devices.DeviceState.CLOSED or not len(t_s):
             return False
         beyond = np.any(np.abs(values) >= _RATED, axis=1)
         if beyond.any():
             self.fault = self.fault or overload_fault(range_text(values[beyond][0], RATED))
-            self.state = DeviceState.FAULT
+            self.state = devices.DeviceState.FAULT
             values = np.where(beyond[:, None], np.nan, values)
         self.samples.put(t_s, values)
         self.arrived(float(t_s[-1]), len(t_s))

@@ -149,11 +149,8 @@ def open_bench(file: Path | None, disturbances: tuple[str, ...] = ()) -> Session
     if file is None or not is_lab_file(file):
         return open_simulated_bench(file, disturbances)
     if disturbances:
-        raise InputError(
-            "Only the simulated bench has faults on demand.",
-            "--inject",
-            "Leave it out; emulated devices take a fault plan.",
-        )
+        fix = "Leave it out; emulated devices take a fault plan."
+        raise InputError("Only the simulated bench has faults on demand.", "--inject", fix)
     from touchdown.backend.bench import LabChoice, lab_session
     from touchdown.backend.learning import ModelRegistry
     from touchdown.backend.runs import RecordingOptions

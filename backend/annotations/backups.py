@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from touchdown.backend import core
 from touchdown.backend.annotations.consistency import QUARANTINE
 from touchdown.backend.annotations.database import (
     APPLICATION_ID,
@@ -20,14 +21,6 @@ from touchdown.backend.annotations.database import (
 )
 from touchdown.backend.annotations.operation_log import newest_operations
 from touchdown.backend.annotations.storage import WriterLock
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    InputError,
-    check_file,
-    make_folder,
-    sync_folder,
-)
 
 STAMP = "%Y%m%dT%H%M%S%fZ"
 INTERVAL = timedelta(hours=1)
@@ -71,7 +64,7 @@ def surplus_backups(backups: Iterable[Backup]) -> list[Backup]:
 
 def check_backup(path: Path) -> Heads:
     """Check a backup with SQLite and return its heads; raises ``InputError`` if it is damaged."""
-    check_file(path, "Use another backup.")
+    core.check_file(path, "Use another backup.")
     try:
         # Immutable: a finished copy is never written, so no -wal or -shm file is needed.
         address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
@@ -117,13 +110,13 @@ class BackupStore:
         path = self._folder / f"catalog-{made.strftime(STAMP)}.db"
         part = self._folder / f".{path.name}.tmp"
         with _disk_errors(self._folder):
-            make_folder(self._folder)
+            core.make_folder(self._folder)
             try:
                 self._copy(part)
                 part.replace(path)
             finally:
                 part.unlink(missing_ok=True)
-            sync_folder(self._folder)
+            core.sync_folder(self._folder)
             for old in surplus_backups(list_backups(self._folder)) if prune else ():
                 old.path.unlink()
         self._last = made
@@ -145,7 +138,7 @@ class BackupStore:
         if self._saved is None:
             self._saved = {}
             if newest := self.newest():
-                with suppress(InputError):
+                with suppress(core.InputError):
                     self._saved = check_backup(newest)
         return self.make(reason) if self._heads() != self._saved else None
 
@@ -198,28 +191,28 @@ def put_in_place(dataset: Path, part: Path) -> Path | None:
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         kept = old.exists()
-        make_folder(aside.parent)
+        core.make_folder(aside.parent)
         for suffix in ("-shm", "-wal", ""):
             # The WAL belongs to the old file; SQLite would replay it into the new one.
             place = dataset / f"{CATALOGUE_FILE}{suffix}"
             if place.exists():
                 place.replace(aside.with_name(f"{aside.name}{suffix}"))
         part.replace(old)
-        sync_folder(dataset)
+        core.sync_folder(dataset)
     return aside if kept else None
 
 
-def _bad(path: Path, why: str) -> InputError:
-    return InputError(f"The backup is not usable: {why}.", str(path), "Use another backup.")
+def _bad(path: Path, why: str) -> core.InputError:
+    return core.InputError(f"The backup is not usable: {why}.", str(path), "Use another backup.")
 
 
 @contextmanager
 def _disk_errors(folder: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, sqlite3.Error, InputError) as error:
-        raise FaultError(
-            Fault(
+    except (OSError, sqlite3.Error, core.InputError) as error:
+        raise core.FaultError(
+            core.Fault(
                 "BACKUP-FAILED",
                 f"The catalogue could not be copied: {error}.",
                 "The catalogue itself is untouched; the newest backup is older than it should be.",

@@ -203,11 +203,9 @@ def _read_mode(path: Path) -> str:
         return "ro"
     wal = path.with_name(f"{path.name}-wal")
     if wal.is_file() and wal.stat().st_size:
-        raise InputError(
-            "The catalogue was not closed, and its folder cannot be written.",
-            str(path),
-            "Copy the dataset to a disk that can be written, and open it there.",
-        )
+        what = "The catalogue was not closed, and its folder cannot be written."
+        fix = "Copy the dataset to a disk that can be written, and open it there."
+        raise InputError(what, str(path), fix)
     # A read-only folder: open it without the files that writers need.
     return "ro&immutable=1"
 
@@ -217,13 +215,11 @@ def _examine(connection: sqlite3.Connection, path: Path) -> int:
     ours = connection.execute("PRAGMA application_id").fetchone()[0] == APPLICATION_ID
     empty = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
     if not ours and not (empty and version == 0):
-        raise InputError(
-            "The file is not a catalogue of Touchdown.", str(path), "Name the folder of a dataset."
-        )
+        fix = "Name the folder of a dataset."
+        raise InputError("The file is not a catalogue of Touchdown.", str(path), fix)
     if 0 < version < SCHEMA_VERSION:
-        raise InputError(
-            f"The catalogue is of schema {version}, before the first release.", str(path), REBUILD
-        )
+        what, fix = f"The catalogue is of schema {version}, before the first release.", REBUILD
+        raise InputError(what, str(path), fix)
     return version
 
 

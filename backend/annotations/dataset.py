@@ -211,11 +211,8 @@ class Dataset:
         check_local_disk(folder)
         is_there = (folder / DESCRIPTION_FILE).is_file()
         if not is_there and not (create and write):
-            raise InputError(
-                "There is no dataset.",
-                str(folder),
-                "Collect probes first, or name the folder that holds dataset.json.",
-            )
+            fix = "Collect probes first, or name the folder that holds dataset.json."
+            raise InputError("There is no dataset.", str(folder), fix)
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
@@ -451,11 +448,9 @@ class Dataset:
         name = check_person(person)
         with Dataset.open(other, create=False, write=False) as theirs:
             if theirs.description.uuid != self.description.uuid:
-                raise InputError(
-                    "This is another dataset, not a copy of the same one.",
-                    str(other),
-                    "Merge copies of one dataset; import other data.",
-                )
+                what = "This is another dataset, not a copy of the same one."
+                fix = "Merge copies of one dataset; import other data."
+                raise InputError(what, str(other), fix)
             self._back_up(partial(self.backups.if_changed, "merge"))
             paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]
             try:
@@ -533,9 +528,8 @@ def read_description(folder: Path) -> DatasetDescription:
             raise TypeError("a value is of another type")
         return DatasetDescription(**facts, schema_version=version)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            "The description of the dataset cannot be read.", str(path), "Restore it from a copy."
-        ) from error
+        what, fix = "The description of the dataset cannot be read.", "Restore it from a copy."
+        raise InputError(what, str(path), fix) from error
 
 
 Progress = Callable[[int, int], bool]  # called with (done, total) after each episode; False stops

@@ -223,9 +223,8 @@ def read_complete(path: Path, root: Path) -> CompleteFile:
     contents = episodes.read_whole(path)
     messages = contents.messages.get(episodes.LABEL_TOPIC.name, [])
     if "episode" not in contents.metadata or not messages:
-        raise core.InputError(
-            "The file has no label message to adopt it by.", str(path), episodes.DAMAGED_FILE_FIX
-        )
+        fix = episodes.DAMAGED_FILE_FIX
+        raise core.InputError("The file has no label message to adopt it by.", str(path), fix)
     with episodes.input_errors(path):
         facts, message = contents.metadata["episode"], episodes.unpack_json(messages[-1])
         quality = core.parse_json(facts["quality"])
@@ -440,9 +439,8 @@ def read_pack_chunks(path: Path) -> Iterator[PackEntry]:
     for chunk in episodes.read_chunks(path):
         messages = chunk.contents.messages.get(episodes.LABEL_TOPIC.name)
         if not messages or "episode" in chunk.contents.metadata:
-            raise core.InputError(
-                "The file is not a pack of episodes.", str(path), episodes.DAMAGED_FILE_FIX
-            )
+            fix = episodes.DAMAGED_FILE_FIX
+            raise core.InputError("The file is not a pack of episodes.", str(path), fix)
         with episodes.input_errors(path):
             label = episodes.unpack_json(messages[0])
             label_of(label)
@@ -574,11 +572,9 @@ def _pair(
     """Store the geometry of a packed label; return the hash of the pair."""
     piece, bottom = catalogue.piece(label["piece"]), catalogue.piece(label["bottom"])
     if piece.sha256 != label["geometry"]:
-        raise core.InputError(
-            f"The piece '{piece.name}' was changed since this pack was simulated.",
-            str(path),
-            "Simulate it again, or bring the former piece file back.",
-        )
+        what = f"The piece '{piece.name}' was changed since this pack was simulated."
+        fix = "Simulate it again, or bring the former piece file back."
+        raise core.InputError(what, str(path), fix)
     return parts.geometry.store_pair(piece, bottom)
 
 

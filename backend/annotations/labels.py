@@ -334,9 +334,8 @@ class LabelEditor(ABC):
     ) -> Revision:
         """Reject a label with a reason; it returns to its author."""
         if not reason.strip():
-            raise InputError(
-                "A rejection needs a reason.", uuid, f"For instance: {', '.join(REJECT_REASONS)}."
-            )
+            fix = f"For instance: {', '.join(REJECT_REASONS)}."
+            raise InputError("A rejection needs a reason.", uuid, fix)
         return self._review(person, uuid, "reject", reason.strip(), context)
 
     def _review(

@@ -68,11 +68,9 @@ def rebuild_dataset(folder: Path, *, replace: bool, person: str = "") -> Rebuild
     """
     readable = _settle(folder, person)
     if not readable and not replace:
-        raise InputError(
-            "The catalogue cannot be read, so there is nothing to compare with.",
-            str(folder / CATALOGUE_FILE),
-            "Say --replace to put the new one in its place; the old one is kept in quarantine.",
-        )
+        what = "The catalogue cannot be read, so there is nothing to compare with."
+        fix = "Say --replace to put the new one in its place; the old one is kept in quarantine."
+        raise InputError(what, str(folder / CATALOGUE_FILE), fix)
     with closing(WriterLock.take(folder, person)):
         path = folder / REBUILT
         _delete(path)

@@ -428,11 +428,9 @@ def merge_operations(
     for site, chain in by_site.items():
         bad = first_broken_link(sorted(chain, key=lambda op: op.seq))
         if bad is not None:
-            raise InputError(
-                f"The chain of labels is broken at operation {bad} of site {site}.",
-                where,
-                "Restore that dataset from a backup first.",
-            )
+            what = f"The chain of labels is broken at operation {bad} of site {site}."
+            fix = "Restore that dataset from a backup first."
+            raise InputError(what, where, fix)
     touched: set[str] = set()
     for operation in sorted(theirs, key=lambda op: (op.lamport, op.site, op.seq)):
         row = connection.execute(
@@ -441,11 +439,9 @@ def merge_operations(
         if row is None:
             touched |= operation_log.store_operation(connection, operation)
         elif row[0] != operation.hash:
-            raise InputError(
-                f"Both datasets continue one chain differently (operation {operation.seq}).",
-                where,
-                "Start from a copy that was opened once where it lies, then label there.",
-            )
+            what = f"Both datasets continue one chain differently (operation {operation.seq})."
+            fix = "Start from a copy that was opened once where it lies, then label there."
+            raise InputError(what, where, fix)
     review.refresh_heads(connection, touched)
     return touched
 

@@ -223,11 +223,8 @@ def check_person(person: str) -> str:
     """Return the name without surrounding spaces; raises ``InputError`` for an invalid name."""
     name = person.strip()
     if not name or len(name) > MAX_NAME or not name.isprintable() or name == PROGRAM_ACTOR:
-        raise InputError(
-            "This is not the name of a person.",
-            repr(person),
-            f"Give a name of 1 to {MAX_NAME} printable characters other than '{PROGRAM_ACTOR}'.",
-        )
+        fix = f"Give a name of 1 to {MAX_NAME} printable characters other than '{PROGRAM_ACTOR}'."
+        raise InputError("This is not the name of a person.", repr(person), fix)
     return name
 
 

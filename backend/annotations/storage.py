@@ -68,11 +68,9 @@ def check_local_disk(folder: Path, mounts: Mounts | None = None) -> None:
     """Raise ``InputError`` if ``folder`` lies on a network file system (NFS, SMB, sshfs ...)."""
     kind = file_system(folder, mounts)
     if kind.lower() in NETWORK:
-        raise InputError(
-            f"The dataset lies on a network file system ({kind}), where its catalogue can break.",
-            str(folder),
-            "Keep the dataset on a local disk; copy or merge it afterwards.",
-        )
+        what = f"The dataset lies on a network file system ({kind}), where its catalogue can break."
+        fix = "Keep the dataset on a local disk; copy or merge it afterwards."
+        raise InputError(what, str(folder), fix)
 
 
 def disk_weakness(folder: Path, mounts: Mounts | None = None) -> str:

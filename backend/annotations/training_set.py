@@ -157,9 +157,8 @@ def read_observation(dataset: Path, row: CacheRow) -> NDArray[np.float32]:
     path = dataset / row.path
     observation = stored_observation(path, row.chunk)
     if observation.shape != SHAPE or not (np.abs(observation) < np.finfo(np.float16).max).all():
-        raise InputError(
-            "The observation is no probe of 20 ticks.", str(path), episodes.DAMAGED_FILE_FIX
-        )
+        fix = episodes.DAMAGED_FILE_FIX
+        raise InputError("The observation is no probe of 20 ticks.", str(path), fix)
     return observation
 
 
@@ -274,18 +273,14 @@ def _of_one_piece(
         fix += f", or train on labels that are {' or '.join(further)}." if further else "."
         raise InputError("No episode has a label to train on.", str(folder), fix)
     if piece is None and len(found) > 1:
-        raise InputError(
-            f"The episodes belong to different grasped pieces ({', '.join(found)}).",
-            str(folder),
-            "Choose one of them.",
-        )
+        what = f"The episodes belong to different grasped pieces ({', '.join(found)})."
+        fix = "Choose one of them."
+        raise InputError(what, str(folder), fix)
     chosen = [e for e in listed if e.piece == (piece or found[0])]
     if not chosen:
-        raise InputError(
-            f"There are no labelled episodes of '{piece}' here, only of {', '.join(found)}.",
-            str(folder),
-            "Choose one of these pieces.",
-        )
+        what = f"There are no labelled episodes of '{piece}' here, only of {', '.join(found)}."
+        fix = "Choose one of these pieces."
+        raise InputError(what, str(folder), fix)
     return chosen
 
 
@@ -293,11 +288,9 @@ def _check_face(piece: Piece, pairs: Iterable[Pair], folder: Path) -> None:
     """Raise ``InputError`` unless all labels refer to the face of ``piece``."""
     face = face_record(piece.face)
     if any(face_record(pair.face) != face for pair in pairs):
-        raise InputError(
-            f"Some labels refer to another face than that of the piece '{piece.name}'.",
-            str(folder),
-            "Move them to the corrected geometry by a bulk operation.",
-        )
+        what = f"Some labels refer to another face than that of the piece '{piece.name}'."
+        fix = "Move them to the corrected geometry by a bulk operation."
+        raise InputError(what, str(folder), fix)
 
 
 def _patches(

@@ -267,9 +267,8 @@ def _status(store: CalibrationStore, screen: VerbOutput) -> int:
 def _risk(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Bound the unsafe releases of a laboratory; return 0 if the certificate was written."""
     if not connection.at_lab(args):
-        raise InputError(
-            "'risk' needs the trials of a laboratory.", "--bench", "Name its lab file."
-        )
+        fix = "Name its lab file."
+        raise InputError("'risk' needs the trials of a laboratory.", "--bench", fix)
     # Imported here: measuring needs no torch.
     from touchdown.backend.experiments import LABORATORY_LIMIT, certify_laboratory, labelled_trials
 

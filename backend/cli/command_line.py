@@ -66,9 +66,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise ``InputError`` instead of printing the usage and exiting."""
-        raise InputError(
-            f"{message[:1].upper()}{message[1:]}.", self.prog, f"See '{self.prog} --help'."
-        )
+        fix = f"See '{self.prog} --help'."
+        raise InputError(f"{message[:1].upper()}{message[1:]}.", self.prog, fix)
 
 
 class DefaultsFormatter(argparse.HelpFormatter):

@@ -93,9 +93,8 @@ def add_hand_over_arguments(parser: argparse.ArgumentParser) -> None:
 def refuse_hidden_prompt(args: argparse.Namespace, screen: VerbOutput) -> None:
     """Raise ``InputError`` for a hand-over whose prompt would not be shown."""
     if args.hand_over and screen.json:
-        raise core.InputError(
-            "With --json the prompt for the piece is not shown.", "--hand-over", "Leave out --json."
-        )
+        what, fix = "With --json the prompt for the piece is not shown.", "Leave out --json."
+        raise core.InputError(what, "--hand-over", fix)
 
 
 def at_lab(args: argparse.Namespace) -> bool:
@@ -124,9 +123,8 @@ def refuse_misplaced_arguments(args: argparse.Namespace) -> None:
             fix = "Leave it out." if lab else "Name a lab file with --bench."
             raise core.InputError(f"This argument is for {bench} only.", f"--{name}", fix)
     if args.faults and not args.emulated:
-        raise core.InputError(
-            "A fault plan is for emulated devices.", "--faults", "Add --emulated."
-        )
+        fix = "Add --emulated."
+        raise core.InputError("A fault plan is for emulated devices.", "--faults", fix)
 
 
 @contextmanager

@@ -178,11 +178,8 @@ def _device(args: argparse.Namespace) -> Emulation:
 
 def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     if args.folder is None:
-        raise InputError(
-            "An emulated bench needs a folder or a lab file.",
-            "--folder",
-            "Name a folder, or write its lab file with --lab-file.",
-        )
+        fix = "Name a folder, or write its lab file with --lab-file."
+        raise InputError("An emulated bench needs a folder or a lab file.", "--folder", fix)
     file = args.lab_file
     if file is not None and file.exists() and read_toml(file).get("kind") != "emulated":
         what = "This file is not of an emulated bench; it would be replaced."

@@ -50,11 +50,8 @@ def load_method(path: Path) -> StackSettings:
     refuse_other_kind(content, path, "file with settings of the method")
     content = {key: value for key, value in content.items() if key not in REMOVED_TABLES}
     for key in sorted(RUN_ARGUMENTS & content.keys()):
-        raise InputError(
-            f"'{key}' is no setting of the method.",
-            str(path),
-            "Leave it out: it is chosen with each run.",
-        )
+        fix = "Leave it out: it is chosen with each run."
+        raise InputError(f"'{key}' is no setting of the method.", str(path), fix)
     return parse_settings(StackSettings, content, str(path))
 
 

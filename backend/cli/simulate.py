@@ -113,9 +113,8 @@ def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
     piece = catalogue.top(args.piece)
     names = [name for name in args.bottoms.split(",") if name]
     if not names or len(set(names)) != len(names):
-        raise InputError(
-            "Name each bottom once.", "--bottoms", "For example circle15,circle25,square15."
-        )
+        fix = "For example circle15,circle25,square15."
+        raise InputError("Name each bottom once.", "--bottoms", fix)
     jobs: list[JobSpec] = []
     for name in names:
         plan = batch_plan(

@@ -71,15 +71,13 @@ def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
     lab = connection.at_lab(args)
     connection.refuse_misplaced_arguments(args)
     if not lab and any(args.origin):
-        raise core.InputError(
-            "This argument is for real devices only.", "--origin", "Name a lab file with --bench."
-        )
+        fix = "Name a lab file with --bench."
+        raise core.InputError("This argument is for real devices only.", "--origin", fix)
     connection.fill_in_scene(args, BOTTOM)
     mode: DecisionMode = args.mode or ("approve" if lab else "auto")
     if mode != "auto" and screen.json:
-        raise core.InputError(
-            "With --json the moves to approve are not shown.", "--mode", "Leave out --json."
-        )
+        fix = "Leave out --json."
+        raise core.InputError("With --json the moves to approve are not shown.", "--mode", fix)
     if lab and screen.json:
         raise core.InputError("Trials on devices ask their operator.", "--json", "Leave it out.")
     request = StackRequest(

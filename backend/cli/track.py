@@ -57,9 +57,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     # Suppress messages of OpenCV; the error names file and fix.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if args.template and not args.reference:
-        raise InputError(
-            "There is no reference to check.", "--template", "Name the rest images: --reference."
-        )
+        fix = "Name the rest images: --reference."
+        raise InputError("There is no reference to check.", "--template", fix)
     if args.overlay:
         check_output(args.overlay, ".mp4", args.file, args.reference, args.template)
     reference = rest_reference(args.reference, args.template) if args.reference else None

@@ -254,11 +254,9 @@ def _parsed(content: dict[str, Any], path: Path) -> LabSettings:
     """Return the settings of a lab file; raises ``InputError``, also for another version."""
     version = content.get("version")
     if version != LAB_FILE_VERSION or isinstance(version, bool):
-        raise InputError(
-            f"Bad value for 'version': {version!r} is not known here ({LAB_FILE_VERSION}).",
-            str(path),
-            f"Write 'version = {LAB_FILE_VERSION}', or use the Touchdown that wrote the file.",
-        )
+        what = f"Bad value for 'version': {version!r} is not known here ({LAB_FILE_VERSION})."
+        fix = f"Write 'version = {LAB_FILE_VERSION}', or use the Touchdown that wrote the file."
+        raise InputError(what, str(path), fix)
     settings = parse_settings(LabSettings, content, str(path))
     _require_matching_addresses(settings, settings.kind, str(path))
     return settings
@@ -298,11 +296,8 @@ def edit_toml(text: str, values: Mapping[str, LabValue], where: str) -> str:
     except tomllib.TOMLDecodeError:
         same = False
     if not same:
-        raise InputError(
-            "The layout of the file is not supported by the editor.",
-            where,
-            f"Set {', '.join(values)} by hand.",
-        )
+        fix = f"Set {', '.join(values)} by hand."
+        raise InputError("The layout of the file is not supported by the editor.", where, fix)
     return after if after.strip() != text.strip() else text
 
 

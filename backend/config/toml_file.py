@@ -37,14 +37,10 @@ def parse_settings(model: type[Model], content: dict[str, Any], where: str) -> M
         first, key = error.errors()[0], _key(error)
         if first["type"] == "extra_forbidden":
             near = _nearest(model, first["loc"])
-            raise InputError(
-                f"There is no setting '{key}'.",
-                where,
-                f"Write '{near}' instead." if near else f"Remove '{key}'.",
-            ) from error
-        raise InputError(
-            f"Bad value for '{key}': {first_error_message(error)}.", where, f"Correct '{key}'."
-        ) from error
+            fix = f"Write '{near}' instead." if near else f"Remove '{key}'."
+            raise InputError(f"There is no setting '{key}'.", where, fix) from error
+        what, fix = f"Bad value for '{key}': {first_error_message(error)}.", f"Correct '{key}'."
+        raise InputError(what, where, fix) from error
 
 
 def read_json_model(model: type[Model], path: Path, limit: int, fix: str) -> Model:

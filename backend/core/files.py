@@ -284,11 +284,9 @@ def require_package(module: str, extra: str = "exchange", package: str = "") -> 
     try:
         return import_module(module)
     except ImportError as error:
-        raise InputError(
-            f"The package '{package or module.partition('.')[0]}' is not installed.",
-            f"extra '{extra}'",
-            f"Install it: pip install 'touchdown[{extra}]'.",
-        ) from error
+        what = f"The package '{package or module.partition('.')[0]}' is not installed."
+        fix = f"Install it: pip install 'touchdown[{extra}]'."
+        raise InputError(what, f"extra '{extra}'", fix) from error
 
 
 def hash_files(paths: Iterable[Path], root: Path) -> str:

@@ -240,9 +240,8 @@ def read_coco(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
             yield _row(annotation, image, board, dataset)
     except (OSError, ValueError, KeyError, TypeError, IndexError, cv2.error) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
-        raise core.InputError(
-            f"The annotations cannot be read: {why}.", str(path), "Export them again."
-        ) from error
+        fix = "Export them again."
+        raise core.InputError(f"The annotations cannot be read: {why}.", str(path), fix) from error
 
 
 def _row(

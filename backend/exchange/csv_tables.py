@@ -99,9 +99,8 @@ def read_csv(source: Path, dataset: Dataset) -> Iterator[ImportedLabel]:
         rows = csv.DictReader(file)
         lacking = sorted(set(NEEDED) - set(rows.fieldnames or ()))
         if lacking:
-            raise InputError(
-                f"The table lacks: {', '.join(lacking)}.", str(path), "Add these columns."
-            )
+            fix = "Add these columns."
+            raise InputError(f"The table lacks: {', '.join(lacking)}.", str(path), fix)
         for row in rows:
             yield _label_row(row, path, rows.line_num)
 

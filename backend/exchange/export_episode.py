@@ -37,11 +37,9 @@ def face_points(dataset: Dataset, chosen: Iterable[SelectedEpisode]) -> int:
     faces = {name: dataset.geometry.read(name)["face"] for name in pairs}
     if len(set(faces.values())) != 1:
         pieces = sorted({one.entry.piece for one in chosen})
-        raise core.InputError(
-            f"The episodes belong to different grasped faces ({', '.join(pieces)}).",
-            str(dataset.folder),
-            "Name one piece with --piece: this format has arrays of one size.",
-        )
+        what = f"The episodes belong to different grasped faces ({', '.join(pieces)})."
+        fix = "Name one piece with --piece: this format has arrays of one size."
+        raise core.InputError(what, str(dataset.folder), fix)
     return len(dataset.geometry.pair(pairs[0]).points_mm)
 
 

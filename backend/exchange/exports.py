@@ -203,9 +203,8 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
 
     """
     if format not in FORMATS:
-        raise InputError(
-            f"There is no format '{format}'.", "format", f"Use one of: {', '.join(EXPORTS)}."
-        )
+        fix = f"Use one of: {', '.join(EXPORTS)}."
+        raise InputError(f"There is no format '{format}'.", "format", fix)
     if isinstance(states, str) or not set(states) <= set(EXPORT_STATES):
         use = f"Give a tuple of names from: {', '.join(EXPORT_STATES)}."
         raise InputError(f"Labels cannot be chosen by {states!r}.", "--states", use)
@@ -265,11 +264,8 @@ def _check_video(name: str, chosen: Sequence[SelectedEpisode], video: Video) -> 
         raise InputError(f"The format '{name}' has no videos.", "--video", "Leave it out.")
     without = len(chosen) - len(_filmed(chosen))
     if video == "all" and without:
-        raise InputError(
-            f"{without} episodes were kept without pictures.",
-            "--video all",
-            "Use --video sample, which takes those that have some.",
-        )
+        fix = "Use --video sample, which takes those that have some."
+        raise InputError(f"{without} episodes were kept without pictures.", "--video all", fix)
 
 
 def _filmed(chosen: Sequence[SelectedEpisode]) -> list[SelectedEpisode]:

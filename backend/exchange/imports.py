@@ -95,9 +95,8 @@ def read_foreign(
                 line = said.result(0.0)
                 answer: dict[str, str] = json.loads(line) if line.endswith(b"\n") else {}
                 if "error" in answer:
-                    raise core.InputError(
-                        answer["error"], answer["where"] or str(source), answer["fix"]
-                    )
+                    where = answer["where"] or str(source)
+                    raise core.InputError(answer["error"], where, answer["fix"])
                 if "episode" not in answer:
                     break
                 path = Path(answer["episode"])
@@ -426,11 +425,9 @@ class EpisodeImport:
 
     def _own_pair(self) -> str:
         if self._options.piece is None or self._options.bottom is None:
-            raise core.InputError(
-                "The file does not say which pieces touched.",
-                str(self._source),
-                "Name them with --piece and --bottom.",
-            )
+            what = "The file does not say which pieces touched."
+            fix = "Name them with --piece and --bottom."
+            raise core.InputError(what, str(self._source), fix)
         pieces = load_pieces()
         top, bottom = pieces.piece(self._options.piece), pieces.piece(self._options.bottom)
         return self._dataset.geometry.store_pair(top, bottom)

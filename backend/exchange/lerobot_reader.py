@@ -33,19 +33,13 @@ def read_info(source: Path) -> dict[str, Any]:
     """Return the description of a data set; raises ``InputError`` for an unknown version."""
     path = source / "meta/info.json"
     if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
-        raise InputError(
-            "This is not a LeRobot dataset.",
-            str(path),
-            "Name the folder that holds meta/info.json.",
-        )
+        fix = "Name the folder that holds meta/info.json."
+        raise InputError("This is not a LeRobot dataset.", str(path), fix)
     info: dict[str, Any] = parse_json(path.read_bytes())
     version = info.get("codebase_version")
     if version not in VERSIONS:
-        raise InputError(
-            f"This is version {version} of LeRobot datasets.",
-            str(path),
-            f"Convert it to one of: {', '.join(VERSIONS)}.",
-        )
+        fix = f"Convert it to one of: {', '.join(VERSIONS)}."
+        raise InputError(f"This is version {version} of LeRobot datasets.", str(path), fix)
     return info
 
 

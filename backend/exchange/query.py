@@ -78,9 +78,8 @@ def indices_by_side(chosen: Sequence[SelectedEpisode]) -> dict[str, list[int]]:
 def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     """Select the episodes of ``query``; raises ``InputError`` if there are none."""
     if not 0.0 <= query.held_out < 1.0:
-        raise InputError(
-            f"A share of {query.held_out:g} cannot be held out.", "--held-out", "Use 0 to below 1."
-        )
+        fix = "Use 0 to below 1."
+        raise InputError(f"A share of {query.held_out:g} cannot be held out.", "--held-out", fix)
     found: list[tuple[EpisodeEntry, Revision]] = []
     left_out: Counter[str] = Counter()
     wanted = EpisodeFilter(

@@ -62,11 +62,8 @@ def resize_picture(picture: ImageArray, where: str) -> ImageArray:
     if (height, width) == (HEIGHT_PX, WIDTH_PX):
         return picture
     if min(height, width) < HEIGHT_PX // 2 or abs(width / height - WIDTH_PX / HEIGHT_PX) > 0.02:
-        raise InputError(
-            f"The picture has {width} x {height} px.",
-            where,
-            f"Crop it to 4:3; the tracker works at {WIDTH_PX} x {HEIGHT_PX} px.",
-        )
+        fix = f"Crop it to 4:3; the tracker works at {WIDTH_PX} x {HEIGHT_PX} px."
+        raise InputError(f"The picture has {width} x {height} px.", where, fix)
     method = cv2.INTER_AREA if width > WIDTH_PX else cv2.INTER_CUBIC
     scaled = cv2.resize(picture, (WIDTH_PX, HEIGHT_PX), interpolation=method)
     return np.asarray(scaled, dtype=np.uint8)
@@ -152,11 +149,8 @@ class OverlayVideo:
             str(path), code, rate_hz, (WIDTH_PX * SCALE, HEIGHT_PX * SCALE)
         )
         if not self._writer.isOpened():
-            raise InputError(
-                "The overlay video cannot be written.",
-                str(path),
-                "Give a file name that ends in .mp4 in a folder that exists and is writable.",
-            )
+            fix = "Give a file name that ends in .mp4 in a folder that exists and is writable."
+            raise InputError("The overlay video cannot be written.", str(path), fix)
 
     def __enter__(self) -> Self:
         return self

@@ -118,11 +118,9 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
             recipe, ready=experiments.ready_sequences(store, bench, args.outlines, ranges)
         )
         if any(len(some) == 1 for some in recipe.ready.values()) or not any(recipe.ready.values()):
-            raise InputError(
-                "There are too few finished sequences of this bench and family.",
-                str(store.root),
-                "Simulate at least two jobs of each portion, with --steps 0.",
-            )
+            what = "There are too few finished sequences of this bench and family."
+            fix = "Simulate at least two jobs of each portion, with --steps 0."
+            raise InputError(what, str(store.root), fix)
     jobs = recipe.jobs()
     answer: campaign.Json = {"file": None, "fused": None}
     run.run(jobs)
@@ -278,11 +276,9 @@ def _run_rounds(plan: experiments.StrategyComparison, run: campaign.ExperimentRu
     if args.shard or not experiments.decided_strategies(
         plan.loops.trials_of(store), args.stop_early
     ):
-        raise InputError(
-            "An early stop needs two strategies and all of their trials on one computer.",
-            "--stop-early",
-            "Leave out --shard, and name a strategy and its reference with --strategies.",
-        )
+        what = "An early stop needs two strategies and all of their trials on one computer."
+        fix = "Leave out --shard, and name a strategy and its reference with --strategies."
+        raise InputError(what, "--stop-early", fix)
     while jobs := plan.next_round(store, args.stop_early):
         if not run.run(jobs):
             break
@@ -299,9 +295,8 @@ def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyCompariso
     require_positive(args, "trials")
     require_positive(args, "band", least=0)
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
-        raise InputError(
-            f"'{args.outline_seed}' is not a hash.", "--outline-seed", "Give 8 to 64 hex digits."
-        )
+        fix = "Give 8 to 64 hex digits."
+        raise InputError(f"'{args.outline_seed}' is not a hash.", "--outline-seed", fix)
     loops = experiments.ClosedLoopComparison(
         bench=bench,
         code=package_version("touchdown"),
@@ -331,13 +326,11 @@ def _recipe(run: campaign.ExperimentRun) -> experiments.Recipe:
     pieces = tuple(piece for piece in experiments.PIECES if piece in wanted)
     scale = experiments.SCALES[args.scale]
     if args.keep_models and not scale.probes:
-        raise InputError(
-            f"--{args.scale} trains no models.", "--keep-models", "Leave it out or use --full."
-        )
+        fix = "Leave it out or use --full."
+        raise InputError(f"--{args.scale} trains no models.", "--keep-models", fix)
     if args.models and scale.probes:
-        raise InputError(
-            "--full trains its own models.", "--models", "Leave it out or use --quick."
-        )
+        fix = "Leave it out or use --quick."
+        raise InputError("--full trains its own models.", "--models", fix)
     models = {} if scale.probes else run.models(bench)
     return experiments.Recipe(
         scale, bench, package_version("touchdown"), models, pieces, args.device
@@ -365,9 +358,8 @@ def run_evaluation(run: campaign.ExperimentRun) -> campaign.Json:
 
     args, bench, code = run.args, run.bench(), package_version("touchdown")
     if min(args.groups, args.trials) < 0 or args.groups + args.trials == 0:
-        raise InputError(
-            "The counts give no presses.", "--groups, --trials", "Give a positive number of one."
-        )
+        fix = "Give a positive number of one."
+        raise InputError("The counts give no presses.", "--groups, --trials", fix)
     (piece, *others) = campaign.parse_names(args.pieces, experiments.PIECES, "--pieces")
     if others:
         raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
@@ -474,17 +466,12 @@ def _plan(run: campaign.ExperimentRun, weights: Path) -> experiments.Certificati
         if not all(0.0 < risk < 1.0 for risk in risks) or len(set(risks)) < len(risks):
             raise ValueError
     except ValueError as error:
-        raise InputError(
-            "A certificate is of a risk that was chosen before.",
-            "--level",
-            "Give a probability between 0 and 1, such as 0.03, or several different ones.",
-        ) from error
+        what = "A certificate is of a risk that was chosen before."
+        fix = "Give a probability between 0 and 1, such as 0.03, or several different ones."
+        raise InputError(what, "--level", fix) from error
     if args.scenes < experiments.LEAST_SCENES:
-        raise InputError(
-            f"{args.scenes} scenes are too few.",
-            "--scenes",
-            f"Give at least {experiments.LEAST_SCENES}.",
-        )
+        fix = f"Give at least {experiments.LEAST_SCENES}."
+        raise InputError(f"{args.scenes} scenes are too few.", "--scenes", fix)
     name, code = args.bench.stem if args.bench else bench.preset, package_version("touchdown")
     return experiments.Certification(bench, name, weights.resolve(), risks, args.scenes, code)
 

@@ -446,6 +446,8 @@ class Dataset:
         broken chain of labels, ``FaultError`` if the disk fails.
         """
         name = check_person(person)
+        if other.resolve() == self.folder.resolve():
+            raise InputError("This is the dataset itself.", str(other), "Name a copy of it.")
         with Dataset.open(other, create=False, write=False) as theirs:
             if theirs.description.uuid != self.description.uuid:
                 what = "This is another dataset, not a copy of the same one."

@@ -110,6 +110,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Serve until Ctrl-C or the end of the time; then print the statistics of the wires."""
     if args.for_s is not None and not 0 < args.for_s < float("inf"):
         raise InputError("The time must be positive.", "--for", "Give seconds.")
+    of_bench, of_device = ("lab_file", "jig"), ("port", "tty", "load", "text", "film")
+    for name in of_device if args.kind == BENCH else of_bench:
+        if getattr(args, name):
+            what = f"This is for {'single devices' if args.kind == BENCH else 'a bench'} only."
+            raise InputError(what, f"--{name.replace('_', '-')}", "Leave it out.")
     with ExitStack() as rest:
         if args.kind == BENCH and args.folder is None and args.lab_file is not None:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))

@@ -59,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Add, list or show; ``InputError`` for files and names that cannot be used."""
     if args.action == "list":
+        if args.source:
+            raise InputError("'piece list' takes no argument.", args.source, "Leave it out.")
         return _list(args, screen)
     if not args.source:
         fix = "Name the file." if args.action == "add" else "See 'touchdown piece list'."

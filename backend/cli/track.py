@@ -65,11 +65,11 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     tracked: list[TrackedImage] = []
     with ExitStack() as stack:
         overlay = None
-        if args.overlay:
-            overlay = stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
         advance = stack.enter_context(screen.progress("Tracking", count_pictures(args.file)))
         for item in track_frames(read_pictures(args.file), reference, str(args.file)):
             tracked.append(item)
+            if args.overlay and overlay is None:  # once there is a picture
+                overlay = stack.enter_context(OverlayVideo(args.overlay, DEFAULT_RATE_HZ))
             if overlay is not None:
                 overlay.add(item.frame, item.field)
             advance(len(tracked))

@@ -220,7 +220,7 @@ def export(  # noqa: PLR0913 - each is a keyword of the public API
         selection = select_episodes(dataset, query)
         _check_video(format, selection.chosen, wanted)
         job = _job(dataset, format, selection, tuple(state_with))
-        part = _begin(out)
+        part = _begin(out, dataset.folder)
         try:
             described = manifest.make_manifest(dataset, format, query, selection, job.features)
             _write(job, format, described, wanted, part, on_progress)
@@ -272,8 +272,11 @@ def _filmed(chosen: Sequence[SelectedEpisode]) -> list[SelectedEpisode]:
     return [one for one in chosen if one.entry.keep_frames != "none"]
 
 
-def _begin(out: Path) -> Path:
+def _begin(out: Path, dataset: Path) -> Path:
     """Return the empty ``.partial`` folder; the rest of an interrupted export is removed."""
+    if dataset.resolve() in out.resolve().parents:
+        fix = "Name a folder outside of it."
+        raise InputError("The export would become a part of the dataset.", str(out), fix)
     if out.exists() or out.name.endswith(PARTIAL):
         raise InputError("This folder is there already, or has a kept name.", str(out),
                          "Name a new folder.")  # fmt: skip

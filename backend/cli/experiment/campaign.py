@@ -72,14 +72,10 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 class ExperimentRun:
-    """One call of an experiment. ``jobs``: all that it needs; ``failed``: ids of failed ones.
-
-    The constructor raises ``OSError`` if the folder of the jobs cannot be made.
-    """
+    """One call of an experiment. ``jobs``: all that it needs; ``failed``: ids of failed ones."""
 
     def __init__(self, args: argparse.Namespace, screen: VerbOutput) -> None:
         require_positive(args, "workers")
-        make_folder(args.out / "jobs")
         self.args, self.screen = args, screen
         self.store: JobStore = JobStore(args.out / "jobs")
         self.jobs: dict[str, JobSpec] = {}
@@ -95,7 +91,11 @@ class ExperimentRun:
         return adopt_models(self.store, *([own] if own else shipped_model_folders(bench.preset)))
 
     def run(self, jobs: list[JobSpec]) -> bool:
-        """Run the unfinished jobs, or those of one shard; return True if none failed."""
+        """Run the unfinished jobs, or those of one shard; return True if none failed.
+
+        Raises ``OSError`` if the folder of the jobs cannot be made.
+        """
+        make_folder(self.store.root)
         self.jobs |= {spec.id: spec for spec in jobs}
         failed = run_jobs(self.args, self.screen, self.store, KINDS, jobs, _described)
         self.failed += failed

@@ -17,6 +17,7 @@ from touchdown.backend.config import SimulationSettings, StackSettings
 from touchdown.backend.core import (
     InputError,
     disk_errors,
+    make_folder,
     package_version,
     read_limited,
     write_atomically,
@@ -287,16 +288,16 @@ def _run_rounds(plan: experiments.StrategyComparison, run: campaign.ExperimentRu
 def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyComparison:
     args, bench = run.args, run.bench()
     pieces = campaign.parse_names(args.pieces, experiments.COMPARED_PIECES, "--pieces")
-    found = run.models(bench)
     strategies = campaign.parse_strategies(args.strategies, experiments.STRATEGIES)
-    for piece in pieces:
-        for name in strategies:
-            _check_cell(piece, name, known=(piece, "FT+Tac") in found)
     require_positive(args, "trials")
     require_positive(args, "band", least=0)
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
         fix = "Give 8 to 64 hex digits."
         raise InputError(f"'{args.outline_seed}' is not a hash.", "--outline-seed", fix)
+    found = run.models(bench)
+    for piece in pieces:
+        for name in strategies:
+            _check_cell(piece, name, known=(piece, "FT+Tac") in found)
     loops = experiments.ClosedLoopComparison(
         bench=bench,
         code=package_version("touchdown"),
@@ -365,13 +366,13 @@ def run_evaluation(run: campaign.ExperimentRun) -> campaign.Json:
         raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
     bottoms = campaign.parse_names(args.bottoms, experiments.TABLE_BOTTOMS, "--bottoms")
     strategies = campaign.parse_strategies(args.strategies, experiments.EVALUATED_STRATEGIES)
-    found = run.models(bench)
+    require_positive(args, "first", least=0)
     import_mujoco()
     there = "elsewhere"
     if args.gel != "half-space":
         import_skfem()
         there = f"elsewhere-{args.gel}"
-    require_positive(args, "first", least=0)
+    found = run.models(bench)
     plan = experiments.DomainShift(
         bench=bench,
         code=code,
@@ -426,6 +427,7 @@ def run_certify(run: campaign.ExperimentRun) -> campaign.Json:
     screen = run.screen
     plan = _plan(run, run.args.model or shipped_path())
     log = AttemptLog(attempts_path(plan.weights))
+    make_folder(run.store.root)  # before an attempt is spent
     attempt = plan.begin(log)
     screen.say(
         f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "

@@ -84,9 +84,12 @@ def test_the_help_parts_every_verb_from_its_line(capsys) -> None:
 
 
 def test_training_data_on_uneven_bottoms_need_the_wide_family(tmp_path, capsys) -> None:
-    data = ["experiment", "fused", "--parts", "0", "--surface-parts", "2", "--out", str(tmp_path)]
+    out = tmp_path / "out"
+    data = ["experiment", "fused", "--parts", "0", "--surface-parts", "2", "--out", str(out)]
     assert main(data) == 2
     assert "with --outlines any" in capsys.readouterr().err
+    assert main(["experiment", "beyond", "--strategies", "nope", "--out", str(out)]) == 2
+    assert not out.exists(), "no empty folder is left"
 
 
 def test_settings_that_are_no_text_name_no_line(tmp_path, capsys) -> None:
@@ -286,6 +289,8 @@ def test_merge_brings_labels_and_tells_conflicts(copies, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["conflicts"] == 1
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out)["operations"] == 0
+    assert main(["dataset", "merge", str(ours), "--dataset", str(ours)]) == 2
+    assert "This is the dataset itself." in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -815,6 +820,7 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
     [
         ("import mcap {own} --map {new} --preview {own}", "own.mcap", "another kind"),
         ("track {own} --overlay {own}", "own.mcap", "another kind"),
+        ("track {own} --overlay {film}", "own.mcap", "neither a picture nor"),
         ("track {film} --overlay {film}", "film.mp4", "would replace"),
         ("train {tmp} --out {own}", "own.mcap", "another kind"),
         ("identify {tmp} --out {lab}", "lab.toml", "would be replaced"),

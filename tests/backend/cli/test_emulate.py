@@ -110,11 +110,15 @@ def test_a_device_on_every_network_warns_and_tells_an_address_for_others(kind, c
         ["dynpick", "--port", "0"],
         ["dynpick", "--for", "nan"],
         ["gelsight"],
+        ["wsg", "--lab-file", "lab.toml", "--for", "0.02"],
+        ["wsg", "--jig", "--for", "0.02"],
+        ["bench", "--folder", "new", "--port", "5000", "--for", "0.02"],
         ["toaster"],
         ["bench"],
     ],
 )
-def test_bad_words_are_bad_input(words, capsys):
+def test_bad_words_are_bad_input(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert main(["emulate", *words]) == 2
     assert "fix:" in capsys.readouterr().err
     assert main(["stack", "--emulated", "--inject", "arm:freeze@1"]) == 2

@@ -42,3 +42,5 @@ def test_a_bottom_is_written_to_a_folder_and_told_with_its_command(tmp_path, cap
 def test_a_missing_argument_is_reported(capsys):
     assert main(["piece", "add"]) == 2
     assert "needs an argument" in capsys.readouterr().err
+    assert main(["piece", "list", "my-stub"]) == 2
+    assert "takes no argument" in capsys.readouterr().err

@@ -154,6 +154,12 @@ def test_what_the_dataset_lacks_is_named_with_what_it_has(dataset, tmp_path, nam
     assert refused.value.fix == "It has no episodes."
 
 
+def test_an_export_stays_out_of_the_dataset(dataset):
+    with pytest.raises(InputError, match="part of the dataset"):
+        export(dataset, "ros2", dataset.folder / "raw" / "out")
+    assert not (dataset.folder / "raw" / "out").exists()
+
+
 def test_two_faces_need_a_piece(dataset, hand):
     barrel = replace(recorded_episode(50), piece="barrel")
     context = context_for(dataset, "barrel")

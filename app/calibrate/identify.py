@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QProcess, Qt, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
-from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QPushButton, QWidget
+from PySide6.QtWidgets import QApplication, QLineEdit, QProgressBar, QWidget
 
 from touchdown.app.shell import BenchSheet, ask_path
 from touchdown.backend.core import data_folder, write_atomically
 from touchdown.backend.runs import dataset_folder
-from touchdown.widgets.base import Theme, hbox, label, set_property, tr
+from touchdown.widgets.base import Theme, hbox, label, push_button, set_property, tr
 from touchdown.widgets.lists import FigureTable
 
 PROGRESS = re.compile(r"(.+): ([\d,]+) of ([\d,]+)(.*)")
@@ -44,11 +44,10 @@ class IdentifySheet(BenchSheet):
         super().__init__(parent, TITLE)
         self.dataset = QLineEdit(str(dataset_folder()))
         self.dataset.setAccessibleName(tr("Dataset"))
-        self.choose = QPushButton(tr("Choose\N{HORIZONTAL ELLIPSIS}"))
-        self.begin, self.cancel = QPushButton(tr("Identify")), QPushButton(tr("Cancel"))
-        self.accept_it = QPushButton(tr("Write bench file"))
-        self.report = QPushButton(tr("Report"))
-        self.accept_it.setToolTip(tr("Keep the bench file in the data folder, named by the time"))
+        self.choose = push_button("Choose\N{HORIZONTAL ELLIPSIS}")
+        self.begin, self.cancel = push_button("Identify"), push_button("Cancel")
+        tip = "Keep the bench file in the data folder, named by the time"
+        self.accept_it, self.report = push_button("Write bench file", tip), push_button("Report")
         self.progress = QProgressBar()
         self.verdict, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.table = FigureTable(theme, "Parameters", COLUMNS)

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from operator import attrgetter
 
-from PySide6.QtWidgets import (
-    QButtonGroup,
-    QCheckBox,
-    QComboBox,
-    QProgressBar,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QButtonGroup, QCheckBox, QComboBox, QProgressBar, QVBoxLayout, QWidget
 
 from touchdown.app.shell import BenchSheet, QuestionRow
 from touchdown.backend.calibration import (
@@ -35,6 +27,7 @@ from touchdown.widgets.base import (
     Theme,
     hbox,
     label,
+    push_button,
     scroll_area,
     set_property,
     tr,
@@ -185,9 +178,7 @@ class CalibrateSheet(BenchSheet):
         super().__init__(parent, "Calibrate")
         self.form = form
         self._shown: CalibrationView | None = None
-        self.choices = [
-            QPushButton(tr(CALIBRATION_KINDS[what].title)) for what in MEASUREMENT_NAMES
-        ]
+        self.choices = [push_button(CALIBRATION_KINDS[what].title) for what in MEASUREMENT_NAMES]
         self.conditions = [label("", "small") for _ in self.choices]
         self.group = QButtonGroup(self)
         self.title = label("", "head")
@@ -199,14 +190,13 @@ class CalibrateSheet(BenchSheet):
         self.table = FigureTable(theme, "Values", ("quantity", "value", "limits"))
         self.figure, self.note = label("", "title", wrap=True), label("", wrap=True)
         self.question = QuestionRow()
-        self.measure, self.cancel = QPushButton(tr("Measure")), QPushButton(tr("Cancel"))
-        self.open_it = QPushButton(tr("Open gripper"))
-        self.accept_it, self.identify = QPushButton(tr("Accept")), QPushButton(tr("Identify"))
+        self.measure = push_button("Measure")
+        self.cancel = push_button("Cancel", "End in an orderly way: lift, keep the piece")
+        tip = "Open the jaws; asks first while a piece is held"
+        self.open_it = push_button("Open gripper", tip)
+        self.accept_it = push_button("Accept", "Keep the result as a file that expires")
+        self.identify = push_button("Identify", "Fit the simulated bench to recorded presses")
         self._pictures = QWidget()
-        self.cancel.setToolTip(tr("End in an orderly way: lift, keep the piece"))
-        self.accept_it.setToolTip(tr("Keep the result as a file that expires"))
-        self.open_it.setToolTip(tr("Open the jaws; asks first while a piece is held"))
-        self.identify.setToolTip(tr("Fit the simulated bench to recorded presses"))
         body = hbox(self._left(), (scroll_area(self._right()), 1), spacing=20)
         foot = self.open_it, self.measure, self.cancel, self.accept_it, self.identify
         self.arrange((body, 1), foot=foot, spacing=10)

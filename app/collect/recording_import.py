@@ -9,20 +9,13 @@ from threading import Event
 from typing import Any
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QGridLayout,
-    QPlainTextEdit,
-    QProgressBar,
-    QPushButton,
-    QWidget,
-)
+from PySide6.QtWidgets import QCheckBox, QGridLayout, QPlainTextEdit, QProgressBar, QWidget
 
 from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
 from touchdown.backend import exchange
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.core import InputError, data_folder, read_limited, write_atomically
-from touchdown.widgets.base import Theme, count_noun, hbox, label, set_property, tr, vbox
+from touchdown.widgets import base
 from touchdown.widgets.lists import FigureTable
 from touchdown.widgets.plots import CurveLine, SignalPlot
 
@@ -48,26 +41,28 @@ class RecordingSheet(BenchSheet):
 
     imported = Signal(str, list)
 
-    def __init__(self, parent: QWidget, theme: Theme, target: Callable[[], ImportTarget]) -> None:
+    def __init__(
+        self, parent: QWidget, theme: base.Theme, target: Callable[[], ImportTarget]
+    ) -> None:
         super().__init__(parent, "Import recordings")
         self._target, self._source = target, Path()
         self._worker, self._cancelled = SaveWorker(self, "recording-import"), Event()
         self._busy = self._writing = False
         self._found: tuple[exchange.EpisodeImport, exchange.ImportSurvey] | None = None
-        self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
-        self.choose_folder = QPushButton(tr("Choose a folder\N{HORIZONTAL ELLIPSIS}"))
-        self.preview, self.cancel = QPushButton(tr("Preview")), QPushButton(tr("Cancel"))
-        self.add, self.correct = QPushButton(tr("Import")), QPushButton(tr("Apply the corrections"))
-        self.correct.setToolTip(tr("Set the values to try, and look at the preview again"))
-        self.file, self.note = label(NO_FILE, wrap=True), label("", wrap=True)
+        self.choose = base.push_button("Choose a file\N{HORIZONTAL ELLIPSIS}")
+        self.choose_folder = base.push_button("Choose a folder\N{HORIZONTAL ELLIPSIS}")
+        self.preview, self.cancel, self.add = map(base.push_button, ("Preview", "Cancel", "Import"))
+        tip = "Set the values to try, and look at the preview again"
+        self.correct = base.push_button("Apply the corrections", tip)
+        self.file, self.note = base.label(NO_FILE, wrap=True), base.label("", wrap=True)
         self.contents = FigureTable(theme, "Signals of the recording", COLUMNS)
         self.contents.empty, self.contents.elided = "No recording yet", True
         self.mapping = QPlainTextEdit()
-        self.mapping.setAccessibleName(tr("Mapping"))
+        self.mapping.setAccessibleName(base.tr("Mapping"))
         self.plots = {title: SignalPlot(theme, title) for title in PLOTS}
-        self.findings = {name: label("", "small", wrap=True) for name in SIGNALS}
+        self.findings = {name: base.label("", "small", wrap=True) for name in SIGNALS}
         self.progress = QProgressBar()
-        self.anyway = QCheckBox(tr("Import in spite of contradictions"))
+        self.anyway = QCheckBox(base.tr("Import in spite of contradictions"))
         names = "MCAP, TOML (*.mcap *.toml)"
         self.choose.clicked.connect(lambda: ask_path(self, "Recording", self.take, names=names))
         self.choose_folder.clicked.connect(lambda: ask_path(self, "Recording", self.take))
@@ -115,7 +110,7 @@ class RecordingSheet(BenchSheet):
             wanted = exchange.EpisodeImport(dataset, form, source, options)
             return wanted, wanted.survey()
 
-        stored = tr("The presses are stored as {} on {}.", piece, bottom)
+        stored = base.tr("The presses are stored as {} on {}.", piece, bottom)
         self._run("Reading; pictures are tracked", read, partial(self._show, stored))
 
     def write(self) -> None:
@@ -139,10 +134,10 @@ class RecordingSheet(BenchSheet):
     # -- inside -----------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
-        left = vbox(
-            label("Import recordings", "head"), hbox(self.choose, self.choose_folder, 1),
+        left = base.vbox(
+            base.label("Import recordings", "head"), base.hbox(self.choose, self.choose_folder, 1),
             self.file, (self.contents, 3),
-            label("Mapping", "title"), (self.mapping, 4),
+            base.label("Mapping", "title"), (self.mapping, 4),
         )  # fmt: skip
         grid = QGridLayout()
         for at, plot in enumerate(self.plots.values()):
@@ -151,10 +146,10 @@ class RecordingSheet(BenchSheet):
             grid.setColumnStretch(at % 3, 1)
         for name, (row, column, span) in SIGNALS.items():
             grid.addWidget(self.findings[name], row, column, 1, span, Qt.AlignmentFlag.AlignTop)
-        grid.addWidget(label(HINT, "small", wrap=True), 2, 2)
-        right = vbox((grid, 1), self.anyway, self.note, self.progress)
+        grid.addWidget(base.label(HINT, "small", wrap=True), 2, 2)
+        right = base.vbox((grid, 1), self.anyway, self.note, self.progress)
         foot = self.preview, self.correct, self.cancel, self.add
-        self.arrange(hbox((left, 3), (right, 5), spacing=14), foot=foot, spacing=10)
+        self.arrange(base.hbox((left, 3), (right, 5), spacing=14), foot=foot, spacing=10)
         self.resize_to_em(76, 46)
         self._show_buttons()
 
@@ -168,7 +163,7 @@ class RecordingSheet(BenchSheet):
             show(result)
             self._show_buttons()
 
-        self._say(f"{tr(words)} \N{HORIZONTAL ELLIPSIS}")
+        self._say(f"{base.tr(words)} \N{HORIZONTAL ELLIPSIS}")
         self.progress.setRange(0, 0)
         job = partial(work, self._cancelled)
         self._worker.submit(job, partial(end, done), partial(end, self._failed))
@@ -192,16 +187,16 @@ class RecordingSheet(BenchSheet):
         for title, unit, axes, t_s, rows in exchange.press_curves(press) if press else ():
             thin, plot = slice(None, None, 1 + len(t_s) // MOST_POINTS), self.plots[title]
             points = [tuple(zip(t_s[thin].tolist(), row, strict=True)) for row in rows[thin].T]
-            plot.name = f"{tr(title)} ({unit})"
+            plot.name = f"{base.tr(title)} ({unit})"
             plot.show_lines([CurveLine(axis, own, COLOURS[axis])
                              for axis, own in zip(axes, points, strict=True)], 0)  # fmt: skip
         for name, said in self.findings.items():
             against = [one for one in survey.contradictions if f"'{name}'" in one]
-            said.setText(" ".join(against) or tr("Nothing contradicts '{}'.", name))
-            set_property(said, "tone", "bad" if against else "good")
-        numbers = count_noun(survey.found, "episode"), survey.here, survey.fit
-        words = [tr("{} found, {} present already, {} can be imported.", *numbers)]
-        words += [tr("{} cannot be mapped: {}.", count, why) for why, count in survey.problems]
+            said.setText(" ".join(against) or base.tr("Nothing contradicts '{}'.", name))
+            base.set_property(said, "tone", "bad" if against else "good")
+        numbers = base.count_noun(survey.found, "episode"), survey.here, survey.fit
+        words = [base.tr("{} found, {} present already, {} can be imported.", *numbers)]
+        words += [base.tr("{} cannot be mapped: {}.", count, why) for why, count in survey.problems]
         self._say(" ".join([*words, stored, *survey.losses]))
 
     def _correct(self) -> None:
@@ -220,7 +215,7 @@ class RecordingSheet(BenchSheet):
     def _failed(self, error: Exception) -> None:
         words = f"{error.what} {error.fix}" if isinstance(error, InputError) else str(error)
         if isinstance(error, OSError):
-            words = tr("A file cannot be read or written: {}.", error.strerror or error)
+            words = base.tr("A file cannot be read or written: {}.", error.strerror or error)
         self._say(words, bad=True)
 
     def _forget(self) -> None:
@@ -228,8 +223,8 @@ class RecordingSheet(BenchSheet):
         self._show_buttons()
 
     def _say(self, words: str, *, bad: bool = False) -> None:
-        self.note.setText(tr(words))
-        set_property(self.note, "tone", "bad" if bad else "")
+        self.note.setText(base.tr(words))
+        base.set_property(self.note, "tone", "bad" if bad else "")
 
     def _show_buttons(self) -> None:
         contradicted = self._found is not None and bool(self._found[1].contradictions)
@@ -242,11 +237,11 @@ class RecordingSheet(BenchSheet):
         for button in (self.choose, self.choose_folder, self.mapping):
             button.setEnabled(not self._busy)
         self.add.setEnabled(can_add)
-        set_property(self.add, "role", "primary" if can_add else "")
+        base.set_property(self.add, "role", "primary" if can_add else "")
         proposed = self._found is not None and bool(self._found[1].proposed) and not self._busy
         self.correct.setEnabled(proposed)
-        set_property(self.correct, "role", "primary" if proposed and not can_add else "")
+        base.set_property(self.correct, "role", "primary" if proposed and not can_add else "")
         first = self.preview if self._source.name else self.choose
         for button in (self.choose, self.preview):
             is_next = button is first and not can_add and not proposed
-            set_property(button, "role", "primary" if is_next else "")
+            base.set_property(button, "role", "primary" if is_next else "")

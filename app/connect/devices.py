@@ -8,13 +8,13 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLineEdit, QWidget
 
 from touchdown.app.shell import BenchSheet
 from touchdown.backend.bench import Session
 from touchdown.backend.config import LabSettings, load_lab, save_lab
 from touchdown.backend.core import InputError
-from touchdown.widgets.base import add_items, hbox, label, rule, scroll_area, set_property, tr
+from touchdown.widgets import base
 from touchdown.widgets.forms import field_label
 
 
@@ -39,19 +39,16 @@ class DevicesSheet(BenchSheet):
 
     def __init__(self, parent: QWidget, fields: Sequence[DeviceField]) -> None:
         super().__init__(parent, "Devices")
-        self.source, self.said = label("", wrap=True), label("", wrap=True)
+        self.source, self.said = base.label("", wrap=True), base.label("", wrap=True)
         self._form = QWidget()
         self.editors: dict[str, QComboBox | QLineEdit] = {}
-        self.look, self.save = QPushButton(tr("Look again")), QPushButton(tr("Save"))
-        self.swap = QPushButton(tr("Exchange left and right"))
-        self.again = QPushButton(tr("Restart program"))
-        self.save.setProperty("role", "primary")
-        self.look.setToolTip(tr("Look for serial ports and cameras that are plugged in"))
-        self.swap.setToolTip(tr("Each camera to the other finger"))
-        self.save.setToolTip(tr("Write the lab file; nothing is connected or moved"))
-        self.again.setToolTip(
-            tr("Close the window and open it again on the saved file; asks first")
-        )
+        looks = "Look for serial ports and cameras that are plugged in"
+        saves = "Write the lab file; nothing is connected or moved"
+        opens = "Close the window and open it again on the saved file; asks first"
+        self.look = base.push_button("Look again", looks)
+        self.save = base.push_button("Save", saves, role="primary")
+        self.swap = base.push_button("Exchange left and right", "Each camera to the other finger")
+        self.again = base.push_button("Restart program", opens)
         self._arrange(fields)
 
     def values(self) -> dict[str, str]:
@@ -82,8 +79,8 @@ class DevicesSheet(BenchSheet):
 
     def say(self, text: str, *, bad: bool) -> None:
         """Show the result of the last action."""
-        self.said.setText(tr(text))
-        set_property(self.said, "tone", "bad" if bad else "")
+        self.said.setText(base.tr(text))
+        base.set_property(self.said, "tone", "bad" if bad else "")
 
     def showEvent(self, event: QShowEvent) -> None:
         """Keep the height of the rows, which a scrolled form would shrink otherwise."""
@@ -103,23 +100,23 @@ class DevicesSheet(BenchSheet):
                 editor.setEditable(True)
                 editor.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
             else:
-                editor.setPlaceholderText(tr(one.empty))
-            editor.setAccessibleName(f"{tr(one.device)}: {tr(one.title)}")
+                editor.setPlaceholderText(base.tr(one.empty))
+            editor.setAccessibleName(f"{base.tr(one.device)}: {base.tr(one.title)}")
             if one.beside:
-                add_items(row, field_label(one.title, editor), (editor, 2))
+                base.add_items(row, field_label(one.title, editor), (editor, 2))
                 continue
             if one.device != device:
-                grid.addWidget(label(one.device, "title"), at, 0)
+                grid.addWidget(base.label(one.device, "title"), at, 0)
             device = one.device
             grid.addWidget(field_label(one.title, editor), at, 1)
-            row = hbox((editor, 5), spacing=8)
+            row = base.hbox((editor, 5), spacing=8)
             grid.addLayout(row, at, 2)
         grid.setContentsMargins(0, 0, 8, 0)
         self._form.setLayout(grid)
-        scroll = scroll_area(self._form)
+        scroll = base.scroll_area(self._form)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.arrange(
-            label("Devices of this bench", "head"), self.source, rule(),
+            base.label("Devices of this bench", "head"), self.source, base.rule(),
             (scroll, 1), self.said, foot=(self.save, self.again, self.look, self.swap), spacing=8,
         )  # fmt: skip
         self.resize_to_em(48, 44)
@@ -167,7 +164,7 @@ class DevicesPresenter:
             self.sheet.swap.clicked.connect(self._swap)
             self.sheet.save.clicked.connect(self._save)
             self.sheet.again.clicked.connect(lambda: self.open_bench(self._path))
-            self.sheet.source.setText(tr(SOURCE, self._path))
+            self.sheet.source.setText(base.tr(SOURCE, self._path))
         try:
             self._settings = load_lab(self._path).settings
         except InputError as error:
@@ -190,15 +187,19 @@ class DevicesPresenter:
         cameras, ports = ", ".join(found[LEFT]), len(found["ft.address"])
         nothing = self._bench.description.mode == "hardware" and not cameras and not ports
         if self._bench.description.mode != "hardware":
-            said = tr("The devices of this bench are emulated: there is nothing to search for.")
+            said = base.tr(
+                "The devices of this bench are emulated: there is nothing to search for."
+            )
         elif nothing:
-            said = tr("No camera or port was found on USB here. Plug it in, then press Look again.")
+            said = base.tr(
+                "No camera or port was found on USB here. Plug it in, then press Look again."
+            )
         else:
-            both = cameras or tr("none"), ports or tr("none")
-            said = tr("Plugged in: cameras {}; serial ports {}.", *both)
+            both = cameras or base.tr("none"), ports or base.tr("none")
+            said = base.tr("Plugged in: cameras {}; serial ports {}.", *both)
         self.sheet.say(said, bad=False)
-        set_property(self.sheet.look, "role", "primary" if nothing else "")
-        set_property(self.sheet.save, "role", "" if nothing else "primary")
+        base.set_property(self.sheet.look, "role", "primary" if nothing else "")
+        base.set_property(self.sheet.save, "role", "" if nothing else "primary")
 
     def _swap(self) -> None:
         if self.sheet is not None:
@@ -226,10 +227,12 @@ class DevicesPresenter:
     def _wrong(self, one: DeviceField, text: str) -> str:
         """Return why ``text`` is not valid for a field, "" if it is."""
         if isinstance(self._held(one.key), int) and not text.isdecimal():
-            return tr("{}, {}: write a number.", tr(one.device), tr(one.title).lower())
+            return base.tr(
+                "{}, {}: write a number.", base.tr(one.device), base.tr(one.title).lower()
+            )
         if one.key.endswith(".driver") and text not in self._found[one.key]:
             drivers = ", ".join(self._found[one.key])
-            return tr("There is no '{}' here: use one of {}.", text, drivers)
+            return base.tr("There is no '{}' here: use one of {}.", text, drivers)
         return ""
 
     def _write(self, sheet: DevicesSheet, values: dict[str, str | int]) -> None:
@@ -239,11 +242,11 @@ class DevicesPresenter:
         except InputError as error:
             sheet.say(f"{error.what} {error.fix}", bad=True)
         except OSError as error:
-            sheet.say(tr("The file cannot be written: {}.", error.strerror), bad=True)
+            sheet.say(base.tr("The file cannot be written: {}.", error.strerror), bad=True)
         else:
             sheet.say("Saved. Restart to use it." if values else "Nothing is changed.", bad=False)
-            set_property(sheet.again, "role", "primary" if values else "")
-            set_property(sheet.save, "role", "" if values else "primary")
+            base.set_property(sheet.again, "role", "primary" if values else "")
+            base.set_property(sheet.save, "role", "" if values else "primary")
 
     def _held(self, key: str) -> object:
         value: object = self._settings

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 
 from pydantic import ValidationError
-from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QPushButton, QWidget
+from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QWidget
 
 from touchdown.app.shell import BenchSheet, QuestionRow, carry_out, time_of_day
 from touchdown.backend.bench import Session
 from touchdown.backend.config import Limits
 from touchdown.backend.core import account_name
 from touchdown.backend.runs import changed_limits
-from touchdown.widgets.base import label, rule, tr
+from touchdown.widgets.base import label, push_button, rule, tr
 from touchdown.widgets.forms import decimal_box, field_label, inset_spin_boxes
 from touchdown.widgets.shell import FaultCards
 
@@ -52,10 +52,8 @@ class LimitsSheet(BenchSheet):
         self._grid.setVerticalSpacing(2)
         self.boxes: dict[str, QDoubleSpinBox] = {}
         self._shown: dict[str, tuple[float, float]] = {}
-        self.edit = QPushButton(tr("Unlock"))
-        self.edit.setCheckable(True)
-        self.edit.setToolTip(tr("Let the limits be changed"))
-        self.take = QPushButton(tr("Change\N{HORIZONTAL ELLIPSIS}"))
+        self.edit = push_button("Unlock", "Let the limits be changed", checkable=True)
+        self.take = push_button("Change\N{HORIZONTAL ELLIPSIS}")
         self.edit.toggled.connect(self._unlock)
         self.take.clicked.connect(self._taken)
         head = label("Limits of motion and force", "head")

@@ -19,7 +19,7 @@ from touchdown.backend.bench import Session
 from touchdown.backend.core import RefusedError
 from touchdown.backend.devices import CONNECTION_STEPS
 from touchdown.backend.rig import BenchConnection, DeviceStatus
-from touchdown.widgets.base import Theme, label, rule, set_property, tr
+from touchdown.widgets.base import Theme, label, push_button, rule, set_property, tr
 from touchdown.widgets.shell import DEVICE_CHIPS, FaultCards
 
 MARKS = {
@@ -86,15 +86,13 @@ class ConnectSheet(BenchSheet):
         self._grid.setVerticalSpacing(8)
         self._grid.setColumnStretch(len(CONNECTION_STEPS) + 2, 1)
         self._rows: list[_DeviceRow] = []
-        self.connect_all = QPushButton(tr("Connect all"))
-        self.connect_all.setProperty("role", "primary")
-        self.cancel = QPushButton(tr("Cancel"))
-        self.disconnect_all = QPushButton(tr("Disconnect all"))
-        self.devices, self.limits = QPushButton(tr("Devices")), QPushButton(tr("Limits"))
-        self.connect_all.setToolTip(tr("One after the other, the arm last; nothing moves"))
-        self.cancel.setToolTip(tr("End connecting; what is connected stays so"))
-        self.disconnect_all.setToolTip(tr("First the arm goes off; the gripper keeps its grip"))
-        self.devices.setToolTip(tr("Choose makes, ports and cameras, and save the lab file"))
+        tip = "One after the other, the arm last; nothing moves"
+        self.connect_all = push_button("Connect all", tip, role="primary")
+        self.cancel = push_button("Cancel", "End connecting; what is connected stays so")
+        tip = "First the arm goes off; the gripper keeps its grip"
+        self.disconnect_all = push_button("Disconnect all", tip)
+        tip = "Choose makes, ports and cameras, and save the lab file"
+        self.devices, self.limits = push_button("Devices", tip), push_button("Limits")
         foot = (self.connect_all, self.cancel, self.disconnect_all, self.devices, self.limits)
         self.arrange(
             self.head, self.text, rule(), self._grid, self.question, 1, foot=foot, spacing=10

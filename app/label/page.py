@@ -8,7 +8,7 @@ from functools import partial
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QComboBox, QListWidget, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QListWidget, QWidget
 
 from touchdown.app.label.side import BulkForm, KeyboardLineEdit, SideTabs
 from touchdown.app.label.text import QUEUES
@@ -30,8 +30,8 @@ class DatasetHealthPanel(QWidget):
         self.list = QListWidget()
         self.list.setAccessibleName(base.tr("Findings of the dataset"))
         base.WrappedItemDelegate(self.list)
-        self.look = QPushButton(base.tr("Check the dataset"))
-        self.look.setToolTip(base.tr("Check all episodes of the dataset (Ctrl+H)"))
+        tip = "Check all episodes of the dataset (Ctrl+H)"
+        self.look = base.push_button("Check the dataset", tip)
         self.look.clicked.connect(look)
         self.list.itemClicked.connect(lambda item: choose(self.list.row(item)))
         self.list.itemActivated.connect(lambda item: choose(self.list.row(item)))
@@ -104,8 +104,7 @@ class EmptyStateView(QWidget):
         super().__init__()
         self.shown = EMPTY_QUEUE
         self.title, self.why = base.label("", "head", wrap=True), base.label("", "muted", wrap=True)
-        self.button = QPushButton()
-        self.button.setProperty("role", "primary")
+        self.button = base.push_button(role="primary")
         self.button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(lambda: act(self.shown.command))
         for widget in (self.title, self.why):
@@ -192,7 +191,7 @@ class LabelPage(QWidget):
         self.strip = StateStrip(theme)
         self.view = OffsetView(theme, self.face_dragged.emit, self.face_dropped.emit)
         self.nothing = EmptyStateView(self.command_requested.emit)
-        self.acts = [QPushButton(base.tr(text)) for text in ACTS]
+        self.acts = [base.push_button(text) for text in ACTS]
         for button, name in zip(self.acts, ACTS.values(), strict=True):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.clicked.connect(partial(self.command_requested.emit, name))
@@ -217,9 +216,7 @@ class LabelPage(QWidget):
         self.phase = PhasePlot(theme)
         pairs = [base.tr("{} with {}", CHANNEL_NAMES[a], CHANNEL_NAMES[b]) for a, b in PAIRS]
         self.curves = base.compact_combo_box(["Forces, moments", *pairs], "Curves on one axis")
-        self.person = QPushButton(base.tr("nobody"))
-        self.person.setToolTip(base.tr("Who labels (Ctrl+U)"))
-        self.person.setProperty("role", "header")
+        self.person = base.push_button("nobody", "Who labels (Ctrl+U)", role="header")
         self.choice = ChoiceBar(self)
         self.queue.activated.connect(self._queue_chosen)
         self.curves.activated.connect(self._curves_chosen)

@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QLineEdit,
     QListWidget,
-    QPushButton,
     QStackedWidget,
     QWidget,
 )
@@ -33,6 +32,7 @@ from touchdown.widgets.base import (
     count_noun,
     hbox,
     label,
+    push_button,
     scroll_area,
     signed,
     tr,
@@ -204,9 +204,7 @@ class SideTabs(Panel):
         self.column.addWidget(self._stack, 1)
         self._buttons = QButtonGroup(self)
         for number, name in enumerate(TABS):
-            button = QPushButton(tr(name))
-            button.setCheckable(True)
-            button.setProperty("role", "choice")
+            button = push_button(name, role="choice", checkable=True)
             self._buttons.addButton(button, number)
             self.header.insertWidget(number, button)
         self._buttons.idClicked.connect(self.choose)
@@ -272,7 +270,7 @@ class BulkForm(QWidget):
         self.kind.setAccessibleName(tr("Change"))
         for name, text, _ in KINDS:
             self.kind.addItem(tr(text), name)
-        self.preview, self.apply = QPushButton(tr("Preview")), QPushButton(tr("Apply"))
+        self.preview, self.apply = push_button("Preview"), push_button("Apply")
         text = "Changes the selected labels (click with Ctrl or Shift), else all of the queue."
         self.found = label(text, "muted", wrap=True)
         buttons = hbox(self.preview, self.apply, 1)

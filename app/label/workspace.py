@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Signal
-from PySide6.QtWidgets import QButtonGroup, QPushButton, QStackedWidget, QWidget
+from PySide6.QtWidgets import QButtonGroup, QStackedWidget, QWidget
 
 from touchdown.app.label.bulk import BulkPresenter, SideTabKeys, SideTabsPresenter
 from touchdown.app.label.decisions import LabelDecisions
@@ -41,7 +41,7 @@ from touchdown.backend.core import InputError, TouchdownError
 from touchdown.backend.learning import ModelRegistry, models_below
 from touchdown.backend.placement import score_labels
 from touchdown.backend.runs import dataset_folder, models_folder
-from touchdown.widgets.base import Theme, count_noun, hbox, tr, vbox
+from touchdown.widgets.base import Theme, count_noun, hbox, push_button, tr, vbox
 from touchdown.widgets.shell import CardText
 
 TELL_EVERY = 20
@@ -184,9 +184,7 @@ class HalvesPage(WorkspacePage):
 
     def add(self, name: str, title: str, page: QWidget) -> None:
         """Add a half."""
-        button = QPushButton(tr(title))
-        button.setCheckable(True)
-        button.setProperty("role", "tab")
+        button = push_button(title, role="tab", checkable=True)
         self._buttons.addButton(button, len(self._names))
         self._row.insertWidget(len(self._names), button)
         self._names.append(name)

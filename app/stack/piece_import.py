@@ -11,12 +11,12 @@ from typing import get_args
 from PySide6.QtCore import QRectF, Qt, QTimer
 from PySide6.QtGui import QPainter
 from PySide6.QtSvg import QSvgRenderer
-from PySide6.QtWidgets import QComboBox, QLineEdit, QPushButton, QWidget
+from PySide6.QtWidgets import QComboBox, QLineEdit, QWidget
 
 from touchdown.app.shell import BenchSheet, FileDrop, SaveWorker, ask_path
 from touchdown.backend import geometry
 from touchdown.backend.core import InputError
-from touchdown.widgets.base import Theme, hbox, label, set_property, tr
+from touchdown.widgets.base import Theme, hbox, label, push_button, set_property, tr
 from touchdown.widgets.forms import FormFields, decimal_box, set_entries
 from touchdown.widgets.plots import PictureView
 
@@ -72,9 +72,8 @@ class PieceSheet(BenchSheet):
         self._asked = 0  # number of the newest measurement
         self._delay = QTimer(self, interval=MEASURE_AFTER_MS, singleShot=True)
         self._delay.timeout.connect(self.measure)
-        self.choose = QPushButton(tr("Choose a file\N{HORIZONTAL ELLIPSIS}"))
-        self.add = QPushButton(tr("Add piece"))
-        self.add.setProperty("role", "primary")
+        self.choose = push_button("Choose a file\N{HORIZONTAL ELLIPSIS}")
+        self.add = push_button("Add piece", role="primary")
         self.file, self.said = label(NO_FILE, wrap=True), label("", "small", wrap=True)
         self.picture = PiecePicture(theme)
         self.name, self.face, self.role, self.units, self.com = (

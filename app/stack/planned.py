@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QSignalBlocker, QTimer
-from PySide6.QtWidgets import QPushButton
 
 from touchdown.app.shell import (
     BenchSheet,
@@ -25,7 +24,7 @@ from touchdown.backend import core
 from touchdown.backend.bench import Session
 from touchdown.backend.config import read_toml
 from touchdown.backend.runs import StackRequest
-from touchdown.widgets.base import KeylessList, count_noun, hbox, label, tr, vbox
+from touchdown.widgets.base import KeylessList, count_noun, hbox, label, push_button, tr, vbox
 from touchdown.widgets.forms import STRATEGIES, RunForm, RunPanel
 from touchdown.widgets.shell import CardQuestion, FaultCards
 
@@ -109,9 +108,8 @@ class PlannedRunsSheet(BenchSheet):
             "Start": ("Start the next run; the others follow", self.start),
             "Hold": ("Start no further run", self.hold),
         }
-        self.buttons = {name: QPushButton(tr(name)) for name in orders}
-        for name, (tip, act) in orders.items():
-            self.buttons[name].setToolTip(tr(tip))
+        self.buttons = {name: push_button(name, tip) for name, (tip, _) in orders.items()}
+        for name, (_, act) in orders.items():
             self.buttons[name].clicked.connect(lambda _=False, act=act: act())
         *column, start, hold = self.buttons.values()
         start.setProperty("role", "primary")

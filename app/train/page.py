@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QPushButton, QSizePolicy
+from PySide6.QtWidgets import QSizePolicy
 
 from touchdown.app.shell import WorkspacePage, column_of
 from touchdown.widgets import base
@@ -43,14 +43,13 @@ class TrainPage(WorkspacePage):
         self.figures.empty = "Choose a finished training: its figures per bottom are shown here"
         self.differences.empty = "Choose up to three trainings (Ctrl+click): what differs"
         self.in_use, self.autonomy = base.label("", "", wrap=True), base.ScrollingNote("Next step")
-        self.step = QPushButton(base.tr("Train as advised"))
-        self.step.setProperty("role", "primary")
-        self.promote = QPushButton(base.tr("Promote"))
-        self.roll_back = QPushButton(base.tr("Roll back"))
+        self.step = base.push_button("Train as advised", role="primary")
+        self.promote = base.push_button("Promote")
+        tip = "Use the previous model again (Ctrl+Shift+P)"
+        self.roll_back = base.push_button("Roll back", tip)
         for button in (self.promote, self.roll_back):
             # Disabled until the model in use is known.
             button.setEnabled(False)
-        self.roll_back.setToolTip(base.tr("Use the previous model again (Ctrl+Shift+P)"))
         yield
         self._arrange()
 

@@ -16,6 +16,7 @@ from .panel import describe as describe
 from .panel import flat_button as flat_button
 from .panel import hbox as hbox
 from .panel import label as label
+from .panel import push_button as push_button
 from .panel import rule as rule
 from .panel import scroll_area as scroll_area
 from .panel import set_property as set_property

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QLayout,
     QLayoutItem,
+    QPushButton,
     QScrollArea,
     QSizePolicy,
     QSplitter,
@@ -546,6 +547,18 @@ def compact_combo_box(texts: Sequence[str], name: str) -> QComboBox:
     made.addItems([tr(text) for text in texts])
     made.setProperty("role", "compact")
     describe((made, name, name))
+    return made
+
+
+def push_button(
+    text: str = "", tip: str = "", *, role: str = "", checkable: bool = False
+) -> QPushButton:
+    """Return a button with a role of the style sheet."""
+    made = QPushButton(tr(text))
+    made.setToolTip(tr(tip))
+    made.setCheckable(checkable)
+    if role:
+        made.setProperty("role", role)
     return made
 
 

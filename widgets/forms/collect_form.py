@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from PySide6.QtCore import QSignalBlocker, Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QProgressBar, QPushButton, QSizePolicy
+from PySide6.QtWidgets import QCheckBox, QComboBox, QProgressBar, QSizePolicy
 
-from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, tr
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, push_button, tr
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -89,10 +89,11 @@ class TargetPanel(Panel):
         self.ask = QCheckBox(tr("Wait for an answer after each probe"))
         self.hand_over = QCheckBox(tr("Hand the piece over (no jig)"))
         self.residual = label("", "small", wrap=True)
-        self.here, self.take = QPushButton(tr("Set here")), QPushButton(tr("Correct origin"))
-        self.why_not, self.lift = label("", "small", wrap=True), QPushButton(tr("Lift 5 mm"))
-        self.start, self.go_on = QPushButton(tr("Start collecting")), QPushButton(tr("Continue"))
-        self.pause, self.end = QPushButton(tr("Pause")), QPushButton(tr("End"))
+        self.here, self.take = push_button("Set here"), push_button("Correct origin")
+        self.why_not = label("", "small", wrap=True)
+        self.lift = push_button("Lift 5 mm", role="header")
+        self.start = push_button("Start collecting", role="primary")
+        self.go_on, self.pause, self.end = map(push_button, ("Continue", "Pause", "End"))
         self.bar, self.eta = QProgressBar(), label("", "small")
         self._fields = FormFields(
             8, 3, piece=self.piece, bottom=self.bottom, within_mm=self.within,
@@ -102,7 +103,6 @@ class TargetPanel(Panel):
         )  # fmt: skip
         set_entries(self.pattern, PATTERNS)
         self.bar.setFormat(tr("This series: %v of %m"))
-        self.start.setProperty("role", "primary")
         self.person.setMaxLength(64)
         describe(
             (self.check_origin, "Check the origin", "Touch all four edges with the held piece"),
@@ -129,7 +129,6 @@ class TargetPanel(Panel):
     def _arrange(self) -> None:
         # Compact: at the smallest window size a campaign in contact shows every row.
         self.column.setSpacing(4)
-        self.lift.setProperty("role", "header")
         fields = self._fields
         fields.add_wide(
             0,

@@ -90,9 +90,7 @@ class JogPace(QWidget):
     def _step_buttons(self) -> list[QPushButton]:
         group, made = QButtonGroup(self), []
         for text in ("Hold", *(f"{step:g}" for step in self._paces[0].steps)):
-            button = QPushButton(base.tr(text))
-            button.setProperty("role", "choice")
-            button.setCheckable(True)
+            button = base.push_button(text, role="choice", checkable=True)
             group.addButton(button)
             made.append(button)
         made[0].setChecked(True)
@@ -158,22 +156,18 @@ class JogPad(base.Panel):
         self.frame = QComboBox()
         self.frame.addItems(["XYZ", "TOOL", "JOINT"])
         self.frame.setAccessibleName(base.tr("Jog frame"))
-        self.turn = QPushButton(base.tr("Turn"))
-        self.turn.setCheckable(True)
-        self.turn.setProperty("role", "choice")
+        tip = "Turn the hand about these axes instead of moving it (T)"
+        self.turn = base.push_button("Turn", tip, role="choice", checkable=True)
         self.turn.setAccessibleName(base.tr("Turn the hand instead of moving it"))
-        self.level = QPushButton(base.tr("Level"))
+        tip = "Turn the hand to straight down, in place (Shift+T)"
+        self.level = base.push_button("Level", tip, role="header")
         self.level.setAccessibleName(base.tr("Level the hand"))
-        self.keys = QPushButton(base.tr("Keyboard jog"))
-        self.keys.setCheckable(True)
-        for button in (self.level, self.keys):
-            button.setProperty("role", "header")
+        self.keys = base.push_button("Keyboard jog", role="header", checkable=True)
         self.keys.setAccessibleName(base.tr("Jog with the keyboard"))
         self.pace = JogPace(paces)
         self.speed = self.pace.speed
-        self.lift = QPushButton()  # offered in contact
+        self.lift = base.push_button(role="primary")  # offered in contact
         self.lift.setAccessibleName(base.tr("Lift the hand out of contact"))
-        self.lift.setProperty("role", "primary")
         self.lift.setProperty("low", "yes")
         self.lift.hide()
         self.joint = 1  # joint of the arrow keys in JOINT
@@ -181,8 +175,6 @@ class JogPad(base.Panel):
         self._ready_why: tuple[bool, str] | None = None
         self._pose, self._note = base.ElidedLabel(""), base.label("", "small")
         self._field = QWidget()
-        self.level.setToolTip(base.tr("Turn the hand to straight down, in place (Shift+T)"))
-        self.turn.setToolTip(base.tr("Turn the hand about these axes instead of moving it (T)"))
         self.level.setEnabled(False)
         self.frame.currentIndexChanged.connect(self._show_frame)
         self.turn.toggled.connect(self._show_frame)

@@ -68,8 +68,8 @@ class ProbePanel(base.Panel):
         # Two lines in a narrow column, so that the page knows the height that it needs.
         self.values.setMinimumHeight(2 * self.values.fontMetrics().height())
         self.result = base.label("No probe yet.", wrap=True)
-        self.probe, self.cancel = QPushButton(base.tr("Probe once")), QPushButton(base.tr("Cancel"))
-        self.probe.setProperty("role", "primary")
+        self.probe = base.push_button("Probe once", role="primary")
+        self.cancel = base.push_button("Cancel")
         base.describe(
             (self.probe, "Probe once", "Press here with these values, record, and lift (F5)"),
             (self.cancel, "Cancel the probe", "End the run: lift the arm, keep the grip"),
@@ -190,7 +190,7 @@ class GripperPanel(base.Panel):
         self.force.setSuffix(" N")
         inset_spin_boxes(self.force)
         base.describe((self.force, "Grip force per finger", "Force per finger for the next grip"))
-        self.grip, self.open = QPushButton(base.tr("Grip")), QPushButton(base.tr("Open"))
+        self.grip, self.open = base.push_button("Grip"), base.push_button("Open")
         asks = "Open the jaws; asks first while a piece is held (Shift+G)"
         base.describe(
             (self.grip, "Grip the gripper", "Close on the piece with this force (G)"),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton
+from PySide6.QtWidgets import QCheckBox, QComboBox
 
 from touchdown.widgets import base
 from touchdown.widgets.forms.fields import (
@@ -92,10 +92,8 @@ class RunPanel(base.Panel):
         self._signals = base.label("", "small", wrap=True)
         set_entries(self._strategy, STRATEGIES)
         set_entries(self._mode, MODES)
-        self.start = QPushButton(base.tr("Start stacking"))
-        self.start.setProperty("role", "primary")
-        self.pause = QPushButton(base.tr("Pause"))
-        self.cancel = QPushButton(base.tr("Cancel"))
+        self.start = base.push_button("Start stacking", role="primary")
+        self.pause, self.cancel = base.push_button("Pause"), base.push_button("Cancel")
         self.row = base.flat_button("In a row", "List of planned runs (Ctrl+Shift+D)")
         for combo in (self._piece, self._bottom, self._under, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
@@ -214,7 +212,7 @@ class ScenePanel(base.Panel):
         super().__init__("Bench")
         self._on_set = on_set
         self.piece, self.bottom = QComboBox(), QComboBox()
-        self.set = QPushButton(base.tr("Set"))
+        self.set = base.push_button("Set")
         base.describe(
             (self.piece, "Piece", "Piece between the jaws"),
             (self.bottom, "Bottom", "Body below the piece"),

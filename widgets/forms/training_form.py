@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QPushButton, QSizePolicy, QToolButton
+from PySide6.QtWidgets import QCheckBox, QComboBox, QSizePolicy, QToolButton
 
-from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, tr
+from touchdown.widgets.base import Panel, Theme, add_items, describe, hbox, label, push_button, tr
 from touchdown.widgets.forms.fields import (
     FormFields,
     decimal_box,
@@ -84,10 +84,10 @@ class TrainingFormPanel(Panel):
             learning_rate=self.rate, seed=self.seed, held_out=self.held_out,
             divide_series=self.divide,
         )  # fmt: skip
-        self.start, self.cancel = QPushButton(tr("Start training")), QPushButton(tr("Cancel"))
-        self.resume, self.defaults = QPushButton(tr("Resume")), QToolButton()
+        self.start = push_button("Start training", role="primary")
+        self.cancel, self.resume = push_button("Cancel"), push_button("Resume")
+        self.defaults = QToolButton()
         self.why_not = label("", wrap=True)
-        self.start.setProperty("role", "primary")
         self.defaults.setProperty("role", "plain")
         self.defaults.setText(tr("Defaults"))
         self.folder.setText("\N{HORIZONTAL ELLIPSIS}")

@@ -17,7 +17,7 @@ from PySide6.QtCore import (
     Signal,
 )
 from PySide6.QtGui import QFontMetrics, QKeyEvent, QPainter, QPen
-from PySide6.QtWidgets import QApplication, QListView, QPushButton, QStyleOptionViewItem, QWidget
+from PySide6.QtWidgets import QApplication, QListView, QStyleOptionViewItem, QWidget
 
 from touchdown.widgets import base
 
@@ -324,8 +324,8 @@ class HistoryList(QWidget):
         super().__init__()
         self._rows: list[HistoryRow] = []
         self.list = base.KeylessList("Versions of the label")
-        self.restore = QPushButton(base.tr("Restore"))
-        self.restore.setToolTip(base.tr("Make a new version with the content of the chosen one"))
+        tip = "Make a new version with the content of the chosen one"
+        self.restore = base.push_button("Restore", tip)
         self.count = base.label("", "small")
         foot = base.hbox((self.count, 1), self.restore)
         base.vbox((self.list, 1), foot, parent=self, margins=(0, 0, 0, 0), spacing=6)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from PySide6.QtCore import QPoint, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFontMetrics, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton, QSizePolicy, QWidget
+from PySide6.QtWidgets import QDialog, QGridLayout, QLabel, QSizePolicy, QWidget
 
 from touchdown.widgets import base
 from touchdown.widgets.shell.state import Colour, Shape, draw_shape
@@ -155,10 +155,8 @@ class DeviceInspector(QDialog):
     def __init__(self, parent: QWidget, on_reconnect: Callable[[], None]) -> None:
         super().__init__(parent)
         self.key = ""
-        self.reconnect = QPushButton(base.tr("Reconnect"))
-        self.reconnect.setToolTip(
-            base.tr("Close the connection and open it again; the grip is kept")
-        )
+        tip = "Close the connection and open it again; the grip is kept"
+        self.reconnect = base.push_button("Reconnect", tip)
         self.reconnect.clicked.connect(on_reconnect)
         self._head = base.label("", "head")
         self._grid = QGridLayout()
@@ -166,7 +164,7 @@ class DeviceInspector(QDialog):
         self._grid.setVerticalSpacing(6)
         self._grid.setColumnStretch(1, 1)
         self._values: dict[str, QLabel] = {}
-        close = QPushButton(base.tr("Close"))
+        close = base.push_button("Close")
         close.clicked.connect(self.close)
         buttons = base.hbox(self.reconnect, 1, close)
         rows = self._head, self._grid, 1, base.rule(), buttons

@@ -14,14 +14,23 @@ from PySide6.QtWidgets import (
     QLineEdit,
     QListWidget,
     QListWidgetItem,
-    QPushButton,
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
     QWidget,
 )
 
-from touchdown.widgets.base import ENTER, ModelIndex, hbox, label, rule, scroll_area, tr, vbox
+from touchdown.widgets.base import (
+    ENTER,
+    ModelIndex,
+    hbox,
+    label,
+    push_button,
+    rule,
+    scroll_area,
+    tr,
+    vbox,
+)
 
 SHOWN = 200
 NAME, CHOICE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
@@ -191,7 +200,7 @@ class KeySheet(QDialog):
         self.setWindowTitle(tr("Keys"))
         self._scroll = scroll_area()
         self._scroll.setAccessibleName(tr("Keyboard shortcuts"))
-        close = QPushButton(tr("Close"))
+        close = push_button("Close")
         close.clicked.connect(self.close)
         column = vbox((self._scroll, 1), rule(), parent=self, margins=(20, 16, 20, 16), spacing=12)
         column.addWidget(close, 0, Qt.AlignmentFlag.AlignRight)
@@ -254,8 +263,8 @@ class KeyDialog(QDialog):
         self._change: Callable[[str], str] = str
         self.setWindowTitle(tr("Change a key"))
         self.head, self.said = label("", "head", wrap=True), label("", wrap=True)
-        none, close = QPushButton(tr("No key")), QPushButton(tr("Close"))
-        none.setToolTip(tr("The command stays available in the palette"))
+        none = push_button("No key", "The command stays available in the palette")
+        close = push_button("Close")
         for button in (none, close):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         none.clicked.connect(lambda: self._try(""))

@@ -9,7 +9,7 @@ from PySide6.QtCore import QEvent, QPoint, QRect, QSize, Qt
 from PySide6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPen, QRegion
 from PySide6.QtWidgets import QFrame, QPushButton, QWidget
 
-from touchdown.widgets.base import ENTER, Theme, hbox, label, tr, vbox
+from touchdown.widgets.base import ENTER, Theme, hbox, label, push_button, tr, vbox
 
 DIM = 110
 MARGIN_PX, RING_PX = 12, 4
@@ -72,13 +72,12 @@ class TourCard(QFrame):
         self._window, self._end = window, end
         self.title, self.text = label("", "head", wrap=True), label("", wrap=True)
         self.count = label("", "small")
-        self.back, self.next = QPushButton(tr("Back")), QPushButton(tr("Next"))
-        self.end = QPushButton(tr("End the tour"))
-        self.next.setProperty("role", "primary")
+        self.back, self.next = push_button("Back"), push_button("Next", role="primary")
+        tip = "Start it again from the palette: Ctrl+K, tour (Esc)"
+        self.end = push_button("End the tour", tip)
         self.back.clicked.connect(lambda: turn(-1))
         self.next.clicked.connect(lambda: turn(1))
         self.end.clicked.connect(end)
-        self.end.setToolTip(tr("Start it again from the palette: Ctrl+K, tour (Esc)"))
         row = hbox(self.count, 1, self.end, self.back, self.next)
         vbox(self.title, self.text, row, parent=self, margins=(14, 10, 12, 12), spacing=8)
         self.hide()

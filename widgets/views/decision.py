@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QFrame, QGridLayout, QPushButton, QWidget
+from PySide6.QtWidgets import QFrame, QGridLayout, QWidget
 
 from touchdown.backend.core import Outcome, PlaceAction, Stability, SupportKind
 from touchdown.widgets import base
@@ -53,21 +53,19 @@ class TrialPanel(base.Panel):
         self.picture = OffsetView(theme, lambda _: None, lambda: None)
         self.picture.editable = False
         self.picture.setAccessibleName(base.tr("Start of the trial, seen from above"))
-        self.yes, self.no = QPushButton(base.tr("Ready")), QPushButton(base.tr("Not now"))
-        self.yes.setProperty("role", "primary")
-        self.outcomes = {outcome: QPushButton(base.tr(text)) for outcome, text, _ in OUTCOMES}
+        self.yes = base.push_button("Ready", "Continue (Y)", role="primary")
+        self.no = base.push_button("Not now", "End the run; nothing has moved")
+        self.outcomes = {outcome: base.push_button(text) for outcome, text, _ in OUTCOMES}
         self.reason = NameField()
         self.reason.setPlaceholderText(base.tr("Reason (required for a void trial)"))
         self.reason.setAccessibleName(base.tr("Reason"))
         self.reason.setMaxLength(200)
-        self.photo = QPushButton(base.tr("Photo\N{HORIZONTAL ELLIPSIS}"))
-        self.photo.setToolTip(base.tr("Store a photo of the bench with this trial"))
+        tip = "Store a photo of the bench with this trial"
+        self.photo = base.push_button("Photo\N{HORIZONTAL ELLIPSIS}", tip)
         self._ready, self._judging = QWidget(), QWidget()
         self._arrange()
         self.yes.clicked.connect(lambda: self.answered.emit(True))
         self.no.clicked.connect(lambda: self.answered.emit(False))
-        self.no.setToolTip(base.tr("End the run; nothing has moved"))
-        self.yes.setToolTip(base.tr("Continue (Y)"))
         self.reason.returnPressed.connect(lambda: self.judge(Outcome.ABORTED))
         for outcome, button in self.outcomes.items():
             button.clicked.connect(lambda _=False, outcome=outcome: self.judge(outcome))
@@ -178,11 +176,9 @@ class DecisionPanel(QFrame):
         self._text = base.label("", wrap=True)
         self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._text.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
-        self.approve = QPushButton(base.tr("Approve  A"))
-        self.approve.setProperty("role", "primary")
-        self.approve.setToolTip(base.tr("Approve this step (A; N in step mode)"))
-        self.decline = QPushButton(base.tr("Decline  D"))
-        self.decline.setToolTip(base.tr(DECLINING))
+        tip = "Approve this step (A; N in step mode)"
+        self.approve = base.push_button("Approve  A", tip, role="primary")
+        self.decline = base.push_button("Decline  D", DECLINING)
         self._asking = QWidget()
         self._arrange()
         self.show_text(NO_DECISION)

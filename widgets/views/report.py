@@ -111,9 +111,8 @@ class ReportSheet(QDialog):
 
 
 def _button(text: str, tip: str) -> QPushButton:
-    button = QPushButton(base.tr(text))
+    button = base.push_button(text, tip)
     button.setAutoDefault(False)
-    button.setToolTip(base.tr(tip))
     return button
 
 

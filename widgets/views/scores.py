@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QComboBox, QDialog, QPushButton, QSizePolicy, QSpinBox, QWidget
+from PySide6.QtWidgets import QComboBox, QDialog, QSizePolicy, QSpinBox, QWidget
 
 from touchdown.backend.core import Outcome
 from touchdown.widgets import base
@@ -240,14 +240,13 @@ class ComparisonSheet(QDialog):
         self.against = QComboBox()
         base.describe((self.against, "Strategy to compare with", "Strategy on the right"))
         self.against.activated.connect(lambda at: against(self.against.itemData(at)))
-        self.run = QPushButton(base.tr("Run both"))
-        self.run.setProperty("role", "primary")
+        self.run = base.push_button("Run both", role="primary")
         self.run.setAutoDefault(False)
         self.run.clicked.connect(run)
         self._arrange()
 
     def _arrange(self) -> None:
-        close = QPushButton(base.tr("Close"))
+        close = base.push_button("Close")
         close.clicked.connect(self.close)
         top = base.FlowLayout(
             (self.head, HEAD_PX), field_label("Against", self.against), self.against,

@@ -258,7 +258,8 @@ def mix_rows(
 ) -> tuple[TrainingRows, Split]:
     """Split ``rows``, and add episodes of ``more`` at random as ``share`` of the training side.
 
-    The validation side is that of ``rows`` alone. Raises ``InputError`` for too few episodes.
+    The validation side is that of ``rows`` alone. Raises ``InputError`` for too few episodes, and
+    if one of them is held out.
     """
     seed, divide = settings.seed, settings.divide_series
     split = split_rows(rows, settings.validation_share, seed, divide_series=divide)
@@ -267,6 +268,11 @@ def mix_rows(
         what = f"A share of {share:g} needs {count} episodes to mix in; there are {len(more)}."
         raise InputError(what, "mix_share", "Choose another --mix-share, or simulate more.")
     chosen = np.sort(np.random.default_rng(seed).choice(len(more), count, replace=False))
+    # Training caches have half precision.
+    held_out = {one.astype(np.float16).tobytes() for one in rows.inputs(split.held_out)}
+    if any(one.astype(np.float16).tobytes() in held_out for one in more.inputs(chosen)):
+        what = "Some episodes to mix in are held out for validation, which would know them."
+        raise InputError(what, "mix", "Name other episodes with --mix.")
     train = np.concatenate([split.train, len(rows) + np.arange(count)])
     return join_rows([rows, more.take(chosen)]), replace(split, train=train)
 

@@ -600,6 +600,8 @@ def test_a_checkpoint_that_does_not_fit_is_not_fine_tuned(
     assert (usual.piece, usual.settings.learning_rate) == ("pot", 1e-4)
     with pytest.raises(InputError, match="needs 18"):
         fine_tune(usual.model_copy(update={"mix": data, "mix_share": 0.9}))
+    with pytest.raises(InputError, match="are held out for validation"):
+        fine_tune(usual.model_copy(update={"mix": data, "mix_share": 0.5}))
     path.write_bytes(path.read_bytes()[:-4] + b"oops")
     with pytest.raises(InputError, match="damaged"):
         fine_tune(usual)

@@ -80,9 +80,8 @@ class SimulatedBenchChoice:
             return self.given
         if self.file is not None:
             if self.preset is not None:
-                raise InputError(
-                    "A settings file and a preset were both given.", "--preset", "Give one of them."
-                )
+                fix = "Give one of them."
+                raise InputError("A settings file and a preset were both given.", "--preset", fix)
             return load_simulation(self.file)
         name = self.preset or "mixed"
         if name not in PRESETS:
@@ -233,9 +232,8 @@ def make_tower(
         tower = draw_tower(rng, bottoms)
         if len(bottoms) == 1 or can_be_placed(piece, tower):
             return tower
-    raise InputError(
-        f"'{piece.name}' cannot stand on it.", "+".join(names), "Choose another tower."
-    )
+    fix = "Choose another tower."
+    raise InputError(f"'{piece.name}' cannot stand on it.", "+".join(names), fix)
 
 
 def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: SimulationSettings) -> Scene:

@@ -59,9 +59,8 @@ def recorded(path: Path, seed: int = 0) -> PictureFunction:
         return trembling
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
-        raise InputError(
-            "This is neither a picture nor a video.", str(path), "Name a file that OpenCV reads."
-        )
+        fix = "Name a file that OpenCV reads."
+        raise InputError("This is neither a picture nor a video.", str(path), fix)
 
     def playing(now_s: float) -> ImageArray:
         there, picture = capture.read()
@@ -84,9 +83,8 @@ def emulate(choice: EmulationChoice) -> Emulation:
     """
     makes = emulated_makes()
     if choice.kind not in makes:
-        raise InputError(
-            f"There is no emulated '{choice.kind}'.", "emulate", f"Use one of {', '.join(makes)}."
-        )
+        fix = f"Use one of {', '.join(makes)}."
+        raise InputError(f"There is no emulated '{choice.kind}'.", "emulate", fix)
     if choice.tty is not None and choice.port is not None:
         raise InputError("A wire is either serial or TCP.", "--tty, --port", "Give one of them.")
     make = makes[choice.kind]
@@ -100,11 +98,9 @@ def emulate(choice: EmulationChoice) -> Emulation:
         emulation: Emulation = make.load_emulator()(choice, Faults(device, choice.faults))
     except OSError as error:
         where = str(choice.tty) if choice.tty else f"{choice.host}:{choice.port or 0}"
-        raise InputError(
-            f"The wire cannot be made: {error.strerror or error}.",
-            where,
-            "Choose another --port or --tty; ports below 1024 need special rights.",
-        ) from error
+        what = f"The wire cannot be made: {error.strerror or error}."
+        fix = "Choose another --port or --tty; ports below 1024 need special rights."
+        raise InputError(what, where, fix) from error
     return emulation
 
 

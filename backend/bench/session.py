@@ -684,8 +684,6 @@ def refuse_beyond_limits(method: StackSettings, limits: Limits) -> None:
     ):
         most = getattr(limits, limit)
         if not value <= most:
-            raise InputError(
-                f"The method asks for {value:g} {unit}, the bench permits {most:g}.",
-                f"probe.{key}",
-                f"Lower it, or raise limits.{limit} in the lab file.",
-            )
+            what = f"The method asks for {value:g} {unit}, the bench permits {most:g}."
+            fix = f"Lower it, or raise limits.{limit} in the lab file."
+            raise InputError(what, f"probe.{key}", fix)

@@ -141,21 +141,15 @@ def read_record(path: Path) -> CalibrationRecord:
         given = content.pop("sha256")
         file = CalibrationFile.model_validate(content)
     except (OSError, ValueError, KeyError, AttributeError, TypeError, RecursionError) as error:
-        raise core.InputError(
-            f"This is not a calibration of version {VERSION}: {_first_error(error)}.",
-            str(path),
-            "Calibrate again; the damaged file can be deleted.",
-        ) from error
+        what = f"This is not a calibration of version {VERSION}: {_first_error(error)}."
+        fix = "Calibrate again; the damaged file can be deleted."
+        raise core.InputError(what, str(path), fix) from error
     if given != content_sha256(file):
-        raise core.InputError(
-            "The calibration was changed after it was accepted.",
-            str(path),
-            "Calibrate again; a number is never corrected by hand.",
-        )
+        fix = "Calibrate again; a number is never corrected by hand."
+        raise core.InputError("The calibration was changed after it was accepted.", str(path), fix)
     if file.date.tzinfo is None or file.date.utcoffset() != datetime.now(UTC).utcoffset():
-        raise core.InputError(
-            "The date of the calibration is not UTC.", str(path), "Calibrate again."
-        )
+        fix = "Calibrate again."
+        raise core.InputError("The date of the calibration is not UTC.", str(path), fix)
     if flaw := _find_flaw(file):
         raise core.InputError(flaw, str(path), "Calibrate again; the damaged file can be deleted.")
     return CalibrationRecord(file, given)

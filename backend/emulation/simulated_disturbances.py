@@ -93,22 +93,15 @@ def parse_disturbance(text: str) -> Disturbance:
     """Return the disturbance that ``text`` describes; raises ``InputError``."""
     match = FAULT_FORM.fullmatch(text.strip())
     if match is None:
-        raise InputError(
-            f"'{text}' is not a disturbance.",
-            text,
-            "Write device:kind@seconds or device:kind@seconds+seconds; device:slow=rate@seconds.",
-        )
+        fix = "Write device:kind@seconds or device:kind@seconds+seconds; device:slow=rate@seconds."
+        raise InputError(f"'{text}' is not a disturbance.", text, fix)
     device, kind = match["device"], match["kind"]
     if device not in DISTURBANCE_KINDS:
-        raise InputError(
-            f"There is no device '{device}'.", text, f"Use one of {', '.join(DISTURBANCE_KINDS)}."
-        )
+        fix = f"Use one of {', '.join(DISTURBANCE_KINDS)}."
+        raise InputError(f"There is no device '{device}'.", text, fix)
     if kind not in DISTURBANCE_KINDS[device]:
-        raise InputError(
-            f"'{device}' has no fault '{kind}'.",
-            text,
-            f"Use one of {', '.join(DISTURBANCE_KINDS[device])}.",
-        )
+        fix = f"Use one of {', '.join(DISTURBANCE_KINDS[device])}."
+        raise InputError(f"'{device}' has no fault '{kind}'.", text, fix)
     much = None if match["much"] is None else float(match["much"])
     unit = AMOUNT_UNITS.get(kind)
     if bool(much) != (unit is not None):

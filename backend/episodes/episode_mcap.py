@@ -343,11 +343,9 @@ def read_episode(path: Path) -> core.Episode:
 def episode_of(contents: ChunkContents, path: Path) -> core.Episode:
     """Return the episode of a file that was read; raises ``InputError`` if it is damaged."""
     if "pack" in contents.metadata:
-        raise core.InputError(
-            "The file is a pack of simulated episodes: no pictures were kept of them.",
-            str(path),
-            "Open them by the dataset that holds the pack.",
-        )
+        what = "The file is a pack of simulated episodes: no pictures were kept of them."
+        fix = "Open them by the dataset that holds the pack."
+        raise core.InputError(what, str(path), fix)
     if "episode" not in contents.metadata:
         raise core.InputError("The file holds no single episode.", str(path), DAMAGED_FILE_FIX)
     with input_errors(path):

@@ -170,13 +170,11 @@ def input_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or "unreadable"
-        raise InputError(
-            f"Cannot read the file: {reason}.", str(path), "Check the path."
-        ) from error
+        fix = "Check the path."
+        raise InputError(f"Cannot read the file: {reason}.", str(path), fix) from error
     except DAMAGE as error:
-        raise InputError(
-            f"The file is damaged or foreign: {error}.", str(path), DAMAGED_FILE_FIX
-        ) from error
+        fix = DAMAGED_FILE_FIX
+        raise InputError(f"The file is damaged or foreign: {error}.", str(path), fix) from error
 
 
 def read_bytes(path: Path) -> bytes:

@@ -98,11 +98,8 @@ def find_packs(folder: Path) -> list[Path]:
     packs = folder.rglob("*.mcap")
     found = sorted(p for p in packs if "/." not in f"/{p.relative_to(folder).as_posix()}")
     if not found:
-        raise InputError(
-            "There are no episode files here.",
-            str(folder),
-            "Give the folder that 'touchdown simulate --out' wrote.",
-        )
+        fix = "Give the folder that 'touchdown simulate --out' wrote."
+        raise InputError("There are no episode files here.", str(folder), fix)
     return found
 
 
@@ -130,11 +127,9 @@ def load_rows(folder: Path, piece: str | None = None) -> TrainingRows:
     if piece is None and len(seen) > 1:
         raise _mixed(folder, f"grasped pieces ({', '.join(sorted(seen))})")
     if not rows:
-        raise InputError(
-            f"There are no episodes of '{piece}' here, only of {', '.join(sorted(seen))}.",
-            str(folder),
-            "Choose one of these pieces, or simulate more episodes.",
-        )
+        what = f"There are no episodes of '{piece}' here, only of {', '.join(sorted(seen))}."
+        fix = "Choose one of these pieces, or simulate more episodes."
+        raise InputError(what, str(folder), fix)
     labels = tuple(row.label for row in rows)
     lists: Any = {name: tuple(str(label[name]) for label in labels) for name in LISTS[:3]}
     return TrainingRows(
@@ -153,11 +148,9 @@ def join_rows(parts: Sequence[TrainingRows]) -> TrainingRows:
     first = parts[0]
     for part in parts:
         if (part.piece, part.geometry) != (first.piece, first.geometry):
-            raise InputError(
-                f"The episodes belong to different pieces: {first.piece}, {part.piece}.",
-                "episodes",
-                "Join episodes of one piece only.",
-            )
+            what = f"The episodes belong to different pieces: {first.piece}, {part.piece}."
+            fix = "Join episodes of one piece only."
+            raise InputError(what, "episodes", fix)
     arrays: Any = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
     lists: Any = {name: tuple(chain(*(getattr(part, name) for part in parts))) for name in LISTS}
     return TrainingRows(first.piece, first.geometry, **arrays, **lists)

@@ -188,11 +188,9 @@ def run_certified_scenes(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     bench = config.parse_settings(config.SimulationSettings, p["bench"], "job")
     method = config.parse_settings(config.StackSettings, p["method"], "job")
     if load_fused(Path(method.fused.weights)).card.weights_sha256 != p["fused_sha256"]:
-        raise core.InputError(
-            "The network changed since the attempt began.",
-            method.fused.weights,
-            "Restore it; the attempt is spent otherwise.",
-        )
+        what = "The network changed since the attempt began."
+        fix = "Restore it; the attempt is spent otherwise."
+        raise core.InputError(what, method.fused.weights, fix)
     seeds = range(spec.seed, spec.seed + p["trials"])
     scenes = [fresh_scene(piece, seed, bench, p["outlines"]) for seed in seeds]
     model = uninformed_model(SceneSetup(piece, (), bench))

@@ -143,11 +143,9 @@ def balanced_offset(case: SceneSetup, seed: int, attempt: int, *, stable: bool) 
             body = case.piece.body(pair_of(offset))
             if geometry.judge_tower(geometry.Tower((bottom, body))).stands is stable:
                 return np.asarray(offset, dtype=np.float64)
-    raise core.InputError(
-        f"'{case.piece.name}' never {'stands' if stable else 'falls'} there.",
-        case.bottoms[0].name,
-        "Choose another bottom.",
-    )
+    what = f"'{case.piece.name}' never {'stands' if stable else 'falls'} there."
+    fix = "Choose another bottom."
+    raise core.InputError(what, case.bottoms[0].name, fix)
 
 
 def uniform_offset(case: SceneSetup, seed: int, probe: int, attempt: int) -> core.FloatArray:

@@ -151,9 +151,8 @@ def measure_piece(path: Path, wanted: PieceImport) -> MeasuredPiece:
     if kind in pieces.DRAWINGS:
         return _measure_drawing(path, content, wanted)
     if wanted.height_mm is not None:
-        raise InputError(
-            "The height of a mesh is measured.", "--height", "Leave it out, or give --units."
-        )
+        fix = "Leave it out, or give --units."
+        raise InputError("The height of a mesh is measured.", "--height", fix)
     return _measure_mesh(_read_mesh(path, content), path, wanted)
 
 
@@ -189,9 +188,8 @@ def _read_mesh(path: Path, content: bytes) -> trimesh.Trimesh:
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
         faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices, dtype=np.float64)
     except Exception as error:
-        raise InputError(
-            f"The file is not a readable {kind.upper()} mesh.", str(path), fix
-        ) from error
+        what = f"The file is not a readable {kind.upper()} mesh."
+        raise InputError(what, str(path), fix) from error
     if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError("The file holds no mesh of triangles.", str(path), fix)
     if not np.isfinite(vertices).all():
@@ -245,9 +243,8 @@ def _measure_mesh(mesh: trimesh.Trimesh, path: Path, wanted: PieceImport) -> Mea
 
 def _measure_drawing(path: Path, content: bytes, wanted: PieceImport) -> MeasuredPiece:
     if wanted.height_mm is None:
-        raise InputError(
-            "A drawing holds no height.", str(path), "Give --height in mm, or use a mesh."
-        )
+        fix = "Give --height in mm, or use a mesh."
+        raise InputError("A drawing holds no height.", str(path), fix)
     if wanted.end is not None:
         raise InputError("A drawing is one face.", "--face", "Leave it out, or use a mesh.")
     face = read_drawing(path, content, UNITS_MM[wanted.unit] if wanted.unit else None)
@@ -373,9 +370,8 @@ def _flat_end(mesh: trimesh.Trimesh, z_mm: float, end: str, path: Path) -> shape
         raise InputError(what, str(path), fix)
     if shapely.area(shapes).sum() > 1.001 * union.area + 0.01:
         what = f"Triangles of the face at the {end} overlap."
-        raise InputError(
-            what, str(path), "Unite its bodies in the CAD program, and export it again."
-        )
+        fix = "Unite its bodies in the CAD program, and export it again."
+        raise InputError(what, str(path), fix)
     return _tidied(union, path)
 
 

@@ -54,9 +54,8 @@ def read_drawing(path: Path, content: bytes, unit_mm: float | None = None) -> sh
         what = f"The drawing holds {len(curves)} curves, more than {MAX_CURVES}."
         raise InputError(what, str(path), "Leave nothing in it but the outline.")
     if not all((np.abs(curve) <= MAX_MM).all() for curve in curves):
-        raise InputError(
-            "A coordinate of the drawing is out of range.", str(path), "Export the outline again."
-        )
+        fix = "Export the outline again."
+        raise InputError("A coordinate of the drawing is out of range.", str(path), fix)
     return _area(curves, path)
 
 

@@ -421,11 +421,9 @@ def _read_folder(folder: Path) -> dict[str, Piece]:
 def read_piece(path: Path) -> Piece:
     """Read one piece file; raises ``InputError``."""
     if PIECE_NAME.fullmatch(path.stem) is None:
-        raise InputError(
-            "Names of piece files consist of small letters, digits, '-' and '_'.",
-            str(path),
-            "Rename the file.",
-        )
+        what = "Names of piece files consist of small letters, digits, '-' and '_'."
+        fix = "Rename the file."
+        raise InputError(what, str(path), fix)
     content = read_settings(PieceFile, path)
     face = content.face.outline()
     opposite = content.opposite.outline() if content.opposite else None

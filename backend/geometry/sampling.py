@@ -42,11 +42,8 @@ def draw_offset(rng: np.random.Generator, face: Outline, bottom: Outline, count:
         tried = rng.uniform(-reach, reach, size=(max(8, min(count, 256)), 2))
         area = overlap_area_mm2(face, tried, bottom, segments=COARSE_SEGMENTS)
         found = np.concatenate([found, tried[area >= MIN_OVERLAP_MM2]])
-    raise InputError(
-        f"The two faces hardly overlap by {MIN_OVERLAP_MM2:g} mm².",
-        "piece and bottom",
-        "Choose larger faces.",
-    )
+    what, fix = f"The two faces hardly overlap by {MIN_OVERLAP_MM2:g} mm².", "Choose larger faces."
+    raise InputError(what, "piece and bottom", fix)
 
 
 def scene_number(piece: str, *bottoms: str) -> int:

@@ -67,24 +67,18 @@ class Tower:
         for below, body in pairwise(self.bodies):
             where = f"{body.name} on {below.name}"
             if body.fixed:
-                raise InputError(
-                    f"'{body.name}' is fixed to the table: nothing can lie below it.",
-                    where,
-                    "Put it lowest.",
-                )
+                what = f"'{body.name}' is fixed to the table: nothing can lie below it."
+                fix = "Put it lowest."
+                raise InputError(what, where, fix)
             if below.upper is None:
-                raise InputError(
-                    f"'{below.name}' carries nothing: it has no flat upper end.",
-                    where,
-                    "Choose another piece below.",
-                )
+                what = f"'{below.name}' carries nothing: it has no flat upper end."
+                fix = "Choose another piece below."
+                raise InputError(what, where, fix)
         for body in self.bodies[:-2]:
             if not body.surface.flat:
-                raise InputError(
-                    f"'{body.name}' is not flat: only the held piece can be put on it.",
-                    f"tower on {body.name}",
-                    "Choose a flat bottom below others.",
-                )
+                what = f"'{body.name}' is not flat: only the held piece can be put on it."
+                fix = "Choose a flat bottom below others."
+                raise InputError(what, f"tower on {body.name}", fix)
 
     def with_top(self, body: Body) -> Tower:
         """Return the tower with one more body on top."""

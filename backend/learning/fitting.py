@@ -170,9 +170,8 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     checkpoint to fine-tune that is damaged, or of another piece or modality.
     """
     if job.out.suffix != ".safetensors":
-        raise InputError(
-            "A model file ends in .safetensors.", str(job.out), "Choose another --out."
-        )
+        fix = "Choose another --out."
+        raise InputError("A model file ends in .safetensors.", str(job.out), fix)
     began_s = time.monotonic()
     training.use_deterministic_algorithms(job.threads)
     pretrained = None if job.pretrained is None else load_checkpoint(job.pretrained)
@@ -220,11 +219,9 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         tell(TrainingCancelled(done=trainer.done, state=state))
         return
     if not trainer.best_loss < DIVERGED_NATS:
-        raise InputError(
-            "The training diverged: its loss never fell below that of a constant prediction.",
-            "learning_rate",
-            "Choose a smaller --learning-rate.",
-        )
+        what = "The training diverged: its loss never fell below that of a constant prediction."
+        fix = "Choose a smaller --learning-rate."
+        raise InputError(what, "learning_rate", fix)
     probability = trainer.predict_held_out()
     card = make_card(rows, trainer, data, benches, probability)
     if pretrained is not None and pretrained.card.simulated:

@@ -80,11 +80,9 @@ def check_autonomous(card: ModelCard, found: Sequence[CardMismatch], where: str)
     """Raise ``InputError`` with the fields that do not fit."""
     if found:
         fields = "; ".join(str(one) for one in found)
-        raise InputError(
-            f"The model of '{card.piece}' must not run in auto mode here: {fields}.",
-            where,
-            "Choose approve or step mode, or a model trained for this bench.",
-        )
+        what = f"The model of '{card.piece}' must not run in auto mode here: {fields}."
+        fix = "Choose approve or step mode, or a model trained for this bench."
+        raise InputError(what, where, fix)
 
 
 def _compared(
@@ -168,11 +166,9 @@ class ModelRegistry:
         with self._lock:
             before = self.before(piece)
             if before is None:
-                raise InputError(
-                    f"The model of '{piece}' was never changed.",
-                    str(self.folder / HISTORY),
-                    "Promote another model first.",
-                )
+                what = f"The model of '{piece}' was never changed."
+                fix = "Promote another model first."
+                raise InputError(what, str(self.folder / HISTORY), fix)
             return self._append(
                 piece=piece, action="roll back", weights_sha256=before, person=person
             )

@@ -45,11 +45,8 @@ def select_device(asked: DeviceName) -> torch.device:
     """
     found = torch.cuda.is_available()
     if asked == "cuda" and not found:
-        raise InputError(
-            "There is no graphics processor that torch can use here.",
-            "device",
-            "Train on --device cpu, or install its driver and a torch that is built for it.",
-        )
+        fix = "Train on --device cpu, or install its driver and a torch that is built for it."
+        raise InputError("There is no graphics processor that torch can use here.", "device", fix)
     return torch.device("cuda" if found and asked != "cpu" else "cpu")
 
 
@@ -257,9 +254,8 @@ class Trainer:
         split: Split | None = None,
     ) -> None:
         if settings.precision == "bfloat16" and not computes_bfloat16(device):
-            raise InputError(
-                "This processor cannot multiply in bfloat16.", "precision", "Train in float32."
-            )
+            fix = "Train in float32."
+            raise InputError("This processor cannot multiply in bfloat16.", "precision", fix)
         self.settings, self.device = settings, device
         self.split: Split = split or split_rows(
             rows, settings.validation_share, settings.seed, divide_series=settings.divide_series

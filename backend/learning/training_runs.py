@@ -425,11 +425,8 @@ class TrainingRequest:
 def resume_request(run: TrainingRun, data: Path) -> TrainingRequest:
     """Return the request that continues ``run``; raises ``InputError`` if it cannot."""
     if not run.can_resume:
-        raise InputError(
-            "The run cannot be continued: no whole epoch was kept.",
-            str(run.folder),
-            "Start a new training.",
-        )
+        what, fix = "The run cannot be continued: no whole epoch was kept.", "Start a new training."
+        raise InputError(what, str(run.folder), fix)
     params: Mapping[str, Any] = run.about.params
     known = {name: params[name] for name in TrainingSettings.model_fields if name in params}
     settings = TrainingSettings.model_validate(known)

@@ -123,9 +123,8 @@ def calibrate_scene_camera(image: ImageArray) -> Homography:
         raise InputError(f"{len(found)} dots are seen instead of four.", "scene camera", _FIX)
     fitted = fit_homography(BOARD_DOTS_MM, _in_order(np.array(found)))
     if not fitted.residual_px <= MAX_RESIDUAL_PX:
-        raise InputError(
-            f"The dots are {fitted.residual_px:.1f} px off their places.", "scene camera", _FIX
-        )
+        what = f"The dots are {fitted.residual_px:.1f} px off their places."
+        raise InputError(what, "scene camera", _FIX)
     return fitted
 
 

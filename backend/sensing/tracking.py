@@ -153,11 +153,9 @@ def _as_frames(
 ) -> Iterator[TactileFrame]:
     for number, image in enumerate(images):
         if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
-            raise InputError(
-                f"Image {number} has shape {image.shape} and type {image.dtype}.",
-                where,
-                "Give uint8 images of shape (H, W, 3), BGR, or (H, W), grey.",
-            )
+            what = f"Image {number} has shape {image.shape} and type {image.dtype}."
+            fix = "Give uint8 images of shape (H, W, 3), BGR, or (H, W), grey."
+            raise InputError(what, where, fix)
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
         picture = resize_picture(np.asarray(bgr, dtype=np.uint8), where)
         yield TactileFrame(finger, number, number / rate_hz, picture)

@@ -34,11 +34,9 @@ class OptoforceDriver(FramedDriver[protocol.OptoforceMessage]):
         super().__init__(protocol.incoming())
         counts, capacity = settings.optoforce.counts, settings.optoforce.capacity
         if counts is None or capacity is None:
-            raise InputError(
-                "The scale of this sensor is not known.",
-                "optoforce.counts, optoforce.capacity",
-                "Copy both from the data sheet of the very sensor into the bench file.",
-            )
+            what = "The scale of this sensor is not known."
+            fix = "Copy both from the data sheet of the very sensor into the bench file."
+            raise InputError(what, "optoforce.counts, optoforce.capacity", fix)
         self._counts, self._capacity, self._address = counts, capacity, address
         self._last: int | None = None
 

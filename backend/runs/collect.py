@@ -14,6 +14,7 @@ from touchdown.backend.annotations import (
     EpisodeEntry,
     EpisodeFilter,
     check_free_space,
+    check_person,
     follow_uuid,
     pair_records,
     uuid7,
@@ -228,8 +229,7 @@ def _dataset(session: RunContext, request: CollectRequest) -> Dataset:
         raise core.RefusedError("NO-DATASET", "No dataset is open to collect into.")
     if not session.dataset.writable:
         raise core.RefusedError("READ-ONLY", "The dataset is open for reading only.")
-    if not request.person.strip():
-        raise core.InputError("No operator is named.", "--person", "Give the name of the operator.")
+    check_person(request.person)
     return session.dataset
 
 

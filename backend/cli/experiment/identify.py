@@ -11,7 +11,7 @@ from typing import Any
 
 from touchdown.backend.cli.experiment.executors import add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, check_output, progress_lines
-from touchdown.backend.config import is_lab_file, load_simulation
+from touchdown.backend.config import SimulationSettings, load_simulation, read_toml
 from touchdown.backend.core import InputError, disk_errors, program_version
 from touchdown.backend.experiments import identify_dataset
 from touchdown.backend.jobs import JobSpec, JobStore
@@ -50,8 +50,9 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     files = files if several else [out]
     for file in files:
         check_output(file, ".toml", args.bench and Path(args.bench))
-        if file.is_file() and is_lab_file(file):
-            raise InputError("This lab file would be replaced.", str(file), "Name another file.")
+        if file.is_file() and read_toml(file).keys() - SimulationSettings.model_fields.keys():
+            what = "This file is of no simulated bench; it would be replaced."
+            raise InputError(what, str(file), "Name another file.")
     pieces = str(Path(args.pieces).resolve()) if args.pieces else None
     jobs = [
         JobSpec("identify", {

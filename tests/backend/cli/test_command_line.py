@@ -824,6 +824,7 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
         ("track {film} --overlay {film}", "film.mp4", "would replace"),
         ("train {tmp} --out {own}", "own.mcap", "another kind"),
         ("identify {tmp} --out {lab}", "lab.toml", "would be replaced"),
+        ("identify {tmp} --out {method}", "method.toml", "would be replaced"),
         ("identify {tmp} --bench {bench} --out {bench}", "bench.toml", "would replace"),
         ("doctor --dataset {tmp} --bench {bench}", "--bench, --dataset", "separate"),
         ("doctor --bundle {own}", "own.mcap", "exists already"),
@@ -834,10 +835,11 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
 def test_an_output_replaces_no_input_and_no_file_of_another_kind(
     words, where, what, tmp_path, capsys, monkeypatch
 ):
-    files = {"own": "own.mcap", "film": "film.mp4", "lab": "lab.toml", "bench": "bench.toml"}
+    files = {"own": "own.mcap", "film": "film.mp4"}
+    files |= {name: f"{name}.toml" for name in ("lab", "bench", "method")}
     paths = {name: tmp_path / file for name, file in files.items()}
     for name, path in paths.items():
-        path.write_text({"lab": "kind = 'hardware'"}.get(name, ""), "utf-8")
+        path.write_text({"lab": "kind = 'hardware'", "method": "[fused]"}.get(name, ""), "utf-8")
     monkeypatch.setattr(command, "EXAMINATIONS", (lambda: pytest.fail("examined first"),))
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     assert main([*words.format(tmp=tmp_path, new=tmp_path / "new", **paths).split(), "--json"]) == 2

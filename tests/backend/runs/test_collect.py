@@ -337,8 +337,9 @@ def test_a_grip_that_drifted_is_ended(tmp_path):
 
 def test_what_cannot_be_collected_is_refused(tmp_path):
     with collecting(tmp_path / "ds") as collected:
-        with pytest.raises(InputError, match="No operator is named"):
-            collected.run(person=" ")
+        for person in (" ", "two\nlines"):
+            with pytest.raises(InputError, match="not the name of a person"):
+                collected.run(person=person)
         with pytest.raises(InputError, match="no piece 'cup'"):
             collected.run(piece="cup")
         with pytest.raises(InputError, match="cannot carry"):

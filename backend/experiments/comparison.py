@@ -16,14 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from touchdown.backend.core import FloatArray, Outcome
-from touchdown.backend.experiments.document import (
-    Report,
-    ReportSection,
-    ReportTable,
-    TableEntry,
-    format_estimate,
-    format_percent,
-)
+from touchdown.backend.experiments import document
 from touchdown.backend.experiments.nuisances import band_benches
 from touchdown.backend.experiments.statistics import evidence, sequential_decision
 from touchdown.backend.experiments.strategies import (
@@ -41,6 +34,11 @@ PAPER = "paper"
 ROUND_TRIALS = 10  # trials of every cell between two looks at a comparison that may stop early
 BOOTSTRAP_DRAWS, INTERVAL_PERCENTILES = 4000, (2.5, 97.5)
 OUTCOME_QUANTITIES = {"placed": (Outcome.PLACED.value,), "unsafe": UNSAFE_OUTCOMES}
+SHARES = ("placed %", "unsafe % of trials", "of released")
+CHANGE_COLUMNS = (
+    "strategy", "from", "of", "n", "reference %", "own %", "change", "only reference", "only own",
+    "p", "evidence",
+)  # fmt: skip
 POOLED_NAMES = {"one": "one bottom", "two": "two bottoms", "fresh": "fresh outlines"}
 Json = dict[str, Any]
 Trials = Mapping[Cell, Sequence[Json]]  # finished trials of each cell
@@ -227,112 +225,77 @@ class StrategyComparison:
         return found
 
 
-def comparison_tables(answer: Mapping[str, Any]) -> list[ReportTable]:
+def comparison_tables(answer: Mapping[str, Any]) -> list[document.ReportTable]:
     """Return the tables of a result; one more with an oracle."""
-    classes = [row for row in answer["pooled"] if "outline" in row]
+    of_texts = document.ReportTable.of_texts
     pooled = [row for row in answer["pooled"] if "outline" not in row]
-    found = [
-        ReportTable.of_texts(
-            "Closed loop, simulated; 95 % intervals",
-            (
-                "strategy",
-                "trials",
-                "placed %",
-                "unsafe % of trials",
-                "of released",
-                "outcomes",
-                "probes",
-                "spare",
-            ),
-            map(_closed_loop_row, (*answer["cells"], *pooled)),
-        )
+    first = of_texts(
+        "Closed loop, simulated; 95 % intervals",
+        ("strategy", "trials", *SHARES, "outcomes", "probes", "spare"),
+        map(_closed_loop_row, (*answer["cells"], *pooled)),
+    )
+    others = [
+        of_texts(
+            "Fresh outlines by class, all pieces; 95 % intervals",
+            ("strategy", "outline", "trials", *SHARES),
+            [_class_row(row) for row in answer["pooled"] if "outline" in row],
+        ),
+        of_texts(
+            "Faces that are not flat: trials in which a place has a margin of 1 mm, and placed "
+            "of them; 95 % intervals",
+            ("strategy", "bottoms", "trials", "possible %", "placed of possible %"),
+            [_uneven_row(row) for row in answer["pooled"] if "possible" in row],
+        ),
+        _band_table(answer, pooled),
+        of_texts(
+            "Placed, as a share of what the ceiling places; common trials, 95 % intervals",
+            ("strategy", "ceiling", "n", "share %"),
+            [
+                (row["strategy"], row["ceiling"], str(row["n"]), document.format_estimate(row))
+                for row in answer.get("of_ceiling") or ()
+            ],
+        ),
+        of_texts(
+            "Change from the reference, common seeds; 95 % intervals",
+            CHANGE_COLUMNS,
+            map(_change_row, answer.get("changes") or ()),
+        ),
     ]
-    if classes:
-        found.append(
-            ReportTable.of_texts(
-                "Fresh outlines by class, all pieces; 95 % intervals",
-                ("strategy", "outline", "trials", "placed %", "unsafe % of trials", "of released"),
-                map(_class_row, classes),
-            )
-        )
-    if uneven := [row for row in answer["pooled"] if "possible" in row]:
-        found.append(
-            ReportTable.of_texts(
-                "Faces that are not flat: trials in which a place has a margin of 1 mm, and placed "
-                "of them; 95 % intervals",
-                ("strategy", "bottoms", "trials", "possible %", "placed of possible %"),
-                map(_uneven_row, uneven),
-            )
-        )
-    if answer.get("band"):
-        found.append(_band_table(answer))
-    if answer.get("of_ceiling"):
-        found.append(
-            ReportTable.of_texts(
-                "Placed, as a share of what the ceiling places; common trials, 95 % intervals",
-                ("strategy", "ceiling", "n", "share %"),
-                (
-                    (row["strategy"], row["ceiling"], str(row["n"]), format_estimate(row))
-                    for row in answer["of_ceiling"]
-                ),
-            )
-        )
-    if answer.get("changes"):
-        found.append(
-            ReportTable.of_texts(
-                "Change from the reference, common seeds; 95 % intervals",
-                (
-                    "strategy",
-                    "from",
-                    "of",
-                    "n",
-                    "reference %",
-                    "own %",
-                    "change",
-                    "only reference",
-                    "only own",
-                    "p",
-                    "evidence",
-                ),
-                map(_change_row, answer["changes"]),
-            )
-        )
-    return found
+    return [first, *(table for table in others if table.rows)]
 
 
-def _band_table(answer: Mapping[str, Any]) -> ReportTable:
+def _band_table(answer: Mapping[str, Any], pooled: Sequence[Json]) -> document.ReportTable:
     """Return placed and unsafe over the benches of the band: least, median, most."""
-    pooled = [row for row in answer["pooled"] if "outline" not in row]
-    rows = []
-    for own in pooled:
+    band, rows = answer.get("band") or (), []
+    for own in pooled if band else ():
         same = [
             row
-            for bench in answer["band"]
+            for bench in band
             for row in bench["pooled"]
             if _name(row) == _name(own) and "outline" not in row
         ]
         texts = []
         for quantity in ("placed", "unsafe", "unsafe_of_released"):
-            texts.append(format_percent(own[quantity]["value"]))
+            texts.append(document.format_percent(own[quantity]["value"]))
             values = [v for row in same if (v := row[quantity]["value"]) is not None]
             ends = np.percentile(values, (0, 50, 100)) if values else ()
-            texts.append(" / ".join(map(format_percent, ends)))
+            texts.append(" / ".join(map(document.format_percent, ends)))
         trials = sum(row["placed"]["n"] for row in same)
         rows.append((_name(own), str(len(same)), str(trials), *texts))
-    head = ("placed %", "band", "unsafe % of trials", "band", "of released", "band")
-    title = f"Bench, and {len(answer['band'])} benches around it: least / median / most"
-    return ReportTable.of_texts(title, ("strategy", "benches", "trials", *head), rows)
+    head = [column for share in SHARES for column in (share, "band")]
+    title = f"Bench, and {len(band)} benches around it: least / median / most"
+    return document.ReportTable.of_texts(title, ("strategy", "benches", "trials", *head), rows)
 
 
-def _closed_loop_row(cell: Json) -> tuple[str | TableEntry, ...]:
+def _closed_loop_row(cell: Json) -> tuple[str | document.TableEntry, ...]:
     outcomes = ", ".join(f"{w.replace('_', ' ')} {n}" for w, n in cell["outcomes"].items())
-    left, placed = cell.get("left_out", 0), format_estimate(cell["placed"])
+    left, placed = cell.get("left_out", 0), document.format_estimate(cell["placed"])
     return (
         _name(cell),
         str(cell["placed"]["n"]),
-        TableEntry(placed, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed")),
-        format_estimate(cell["unsafe"]),
-        format_estimate(released_unsafely(cell["outcomes"]).as_json()),
+        document.TableEntry(placed, jobs=tuple(cell.get("jobs", ())), seed=cell.get("seed")),
+        document.format_estimate(cell["unsafe"]),
+        document.format_estimate(released_unsafely(cell["outcomes"]).as_json()),
         outcomes + (f"; {left} left out" if left else ""),
         _format_number(cell["probes"]),
         _format_number(cell["excess_probes_median"]),
@@ -342,12 +305,12 @@ def _closed_loop_row(cell: Json) -> tuple[str | TableEntry, ...]:
 def _class_row(cell: Json) -> tuple[str, ...]:
     shares = cell["placed"], cell["unsafe"], cell["unsafe_of_released"]
     count = str(cell["placed"]["n"])
-    return cell["strategy"], cell["outline"], count, *map(format_estimate, shares)
+    return cell["strategy"], cell["outline"], count, *map(document.format_estimate, shares)
 
 
 def _uneven_row(cell: Json) -> tuple[str, ...]:
     bottoms = cell.get("outline") or POOLED_NAMES[cell["tower"]]
-    shares = map(format_estimate, (cell["possible"], cell["there"]))
+    shares = map(document.format_estimate, (cell["possible"], cell["there"]))
     return cell["strategy"], bottoms, str(cell["possible"]["n"]), *shares
 
 
@@ -356,7 +319,7 @@ def _change_row(row: Json) -> tuple[str, ...]:
     if row["low"] is not None:
         shown += f" ({100 * row['low']:+.1f} to {100 * row['high']:+.1f})"
     only = [str(row.get(key, "")) for key in ("only_paper", "only_own")]
-    shares = [format_percent(row[key]) for key in ("paper", "own")]
+    shares = [document.format_percent(row[key]) for key in ("paper", "own")]
     only.append(f"{row['p']:.2g}" if "p" in row else "")
     only.append(f"{_row_evidence(row):.3g}" if "p" in row else "")
     names = row["strategy"], row.get("reference", PAPER)
@@ -389,7 +352,7 @@ def stopped_text(stopped: Mapping[str, Any]) -> str:
     )
 
 
-def comparison_report(answer: Mapping[str, Any]) -> Report:
+def comparison_report(answer: Mapping[str, Any]) -> document.Report:
     """Return the report on a result of ``touchdown experiment beyond``."""
     text = (
         "Closed loops count every trial, whatever its outcome; unsafe: fell or knocked over, of "
@@ -405,8 +368,8 @@ def comparison_report(answer: Mapping[str, Any]) -> Report:
         f"{piece} {source[:8]}" for piece, source in answer.get("models", {}).items()
     )
     source = f"Program {answer['code']}, networks: {networks or 'none'}."
-    return Report(
+    return document.Report(
         "Touchdown: strategies beyond the paper",
         (f"Bench {answer['bench_sha256'][:16]}.",),
-        (ReportSection(f"Strategies: {', '.join(names)}", (text, source), parts),),
+        (document.ReportSection(f"Strategies: {', '.join(names)}", (text, source), parts),),
     )

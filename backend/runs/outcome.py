@@ -9,14 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from touchdown.backend.core import (
-    Fault,
-    Outcome,
-    OutcomeAwaited,
-    Released,
-    SetUpAwaited,
-    TrialFinished,
-)
+from touchdown.backend import core
 from touchdown.backend.geometry import Piece, Tower, draw_start, start_generator
 from touchdown.backend.runs import messages, motions
 from touchdown.backend.runs.bench import Bench, RunContext
@@ -33,10 +26,10 @@ class TrialResult:
     ``fault`` occurred after the release: the outcome holds and the run ends.
     """
 
-    outcome: Outcome
+    outcome: core.Outcome
     reason: str
     probes: int
-    fault: Fault | None = None
+    fault: core.Fault | None = None
 
 
 # Codes of faults of a silent, lost or broken device. Failures of a press, a grip or an estimate
@@ -51,12 +44,12 @@ DEVICE_FAULTS = frozenset({
 AFTER = ("release", "rise")  # phases of the release: a fault here no longer excludes the trial
 
 
-def excluding_fault(finished: TrialFinished, last_phase: str) -> str:
+def excluding_fault(finished: core.TrialFinished, last_phase: str) -> str:
     """Return the code of the device fault that excludes a trial from the rate, "" if it counts.
 
     ``last_phase`` is the phase in which the trial ended. A trial counts once ``release`` has begun.
     """
-    if finished.outcome is not Outcome.ABORTED or last_phase in AFTER:
+    if finished.outcome is not core.Outcome.ABORTED or last_phase in AFTER:
         return ""
     # The reason of a trial that a fault ended is the text of the fault, with its code last.
     code = finished.reason.rpartition("[")[2].rstrip("]")
@@ -86,7 +79,7 @@ def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]
     yield from motions.wait(bench, motions.FIRST_POSES_S)
     holds = bench.gripper.status().holding
     bottoms = "+".join(request.bottoms)
-    question = SetUpAwaited(bench.now_s(), request.piece, bottoms, at_mm, holds)
+    question = core.SetUpAwaited(bench.now_s(), request.piece, bottoms, at_mm, holds)
     if not (yield from motions.ask_operator(bench, question, "the operator to set the scene")):
         raise CancelledError("the scene was not set")
     bench = with_handed_piece(bench)
@@ -98,7 +91,7 @@ def set_up_scene(bench: Bench, request: StackRequest, at_mm: tuple[float, float]
     yield from approach_with_piece(bench, motions.descent_start(bench, there))
 
 
-def proposed_outcome(bench: Bench) -> tuple[Outcome, str]:
+def proposed_outcome(bench: Bench) -> tuple[core.Outcome, str]:
     """Return the outcome indicated by wrist and gripper, and why."""
     now_s, settings = bench.now_s(), bench.settings
     rising_s = settings.release.rise_mm / settings.probe.travel_mm_s
@@ -113,7 +106,7 @@ def proposed_outcome(bench: Bench) -> tuple[Outcome, str]:
 
 def outcome_from_signals(
     piece: Piece, *, side_n: float, left_n: float, holding: bool
-) -> tuple[Outcome, str]:
+) -> tuple[core.Outcome, str]:
     """Return the outcome indicated by the signals after a release, and why.
 
     ``side_n`` is the largest lateral force while the fingers opened and rose. ``left_n`` is the
@@ -121,16 +114,16 @@ def outcome_from_signals(
     """
     weight_n = 1e-3 * piece.mass_g * STANDARD_GRAVITY_M_S2
     if holding:
-        return Outcome.ABORTED, "The gripper still holds something."
+        return core.Outcome.ABORTED, "The gripper still holds something."
     if weight_n > WEIGHED_N and left_n < 0.5 * weight_n:
         why = f"The load decreased by only {left_n:.1f} N of the piece's {weight_n:.1f} N."
-        return Outcome.ABORTED, why
+        return core.Outcome.ABORTED, why
     if side_n > SIDE_N:
-        return Outcome.FELL, f"The opening fingers met a lateral force of {side_n:.1f} N."
+        return core.Outcome.FELL, f"The opening fingers met a lateral force of {side_n:.1f} N."
     if not side_n <= SIDE_N:
-        return Outcome.FELL, "No wrench samples while the fingers opened."
+        return core.Outcome.FELL, "No wrench samples while the fingers opened."
     why = f"No lateral force on the fingers while they opened and rose ({side_n:.1f} N)."
-    return Outcome.PLACED, why
+    return core.Outcome.PLACED, why
 
 
 def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
@@ -139,20 +132,20 @@ def judge_release(bench: Bench, probe: int) -> Plan[TrialResult]:
         # The fingers are raised.
         (outcome, why), prompt = proposed_outcome(bench), bench.prompt
         prompt.ask()
-        yield OutcomeAwaited(bench.now_s(), outcome, why)
+        yield core.OutcomeAwaited(bench.now_s(), outcome, why)
         yield Wait(
             lambda: prompt.seen is not None, motions.OPERATOR_TIMEOUT_S, "the operator to judge"
         )
         assert prompt.seen is not None
         seen, reason = prompt.seen
         ending = TrialResult(seen, messages.seen_outcome_message(seen, reason), probe)
-        yield Released(bench.now_s(), probe, ending.outcome is Outcome.PLACED, None, None)
+        yield core.Released(bench.now_s(), probe, ending.outcome is core.Outcome.PLACED, None, None)
         return ending
     verdict = bench.scoring.verdict()
-    yield Released(bench.now_s(), probe, verdict.stands, verdict.margin_mm, verdict.fall)
+    yield core.Released(bench.now_s(), probe, verdict.stands, verdict.margin_mm, verdict.fall)
     if verdict.knocked_over:
-        return TrialResult(Outcome.KNOCKED_OVER, "The support was knocked over.", probe)
-    outcome = Outcome.PLACED if verdict.stands else Outcome.FELL
+        return TrialResult(core.Outcome.KNOCKED_OVER, "The support was knocked over.", probe)
+    outcome = core.Outcome.PLACED if verdict.stands else core.Outcome.FELL
     reason = messages.release_message(verdict.stands, verdict.margin_mm, verdict.kick_mm)
     if verdict.contradicted:
         reason = f"{reason} {messages.CONTRADICTED}"
@@ -163,21 +156,21 @@ def with_toppled_support(bench: Bench, ending: TrialResult) -> TrialResult:
     """Return the outcome of a trial; one that knocked its support over has no other outcome."""
     if bench.scoring is None or not bench.scoring.verdict().knocked_over:
         return ending
-    if ending.outcome is Outcome.KNOCKED_OVER:
+    if ending.outcome is core.Outcome.KNOCKED_OVER:
         return ending
     reason = f"The support was knocked over. {ending.reason}"
-    return replace(ending, outcome=Outcome.KNOCKED_OVER, reason=reason)
+    return replace(ending, outcome=core.Outcome.KNOCKED_OVER, reason=reason)
 
 
-def trial_finished(bench: Bench, trial: int, seed: int, ending: TrialResult) -> TrialFinished:
+def trial_finished(bench: Bench, trial: int, seed: int, ending: TrialResult) -> core.TrialFinished:
     """Return the final event of a trial, with the ground truth where it is known."""
     margin_mm = excess = contradicted = None
     if bench.scoring is not None:
         verdict = bench.scoring.verdict()
         margin_mm, contradicted = verdict.margin_mm, verdict.contradicted
-        if ending.outcome is Outcome.PLACED:
+        if ending.outcome is core.Outcome.PLACED:
             excess = max(0, ending.probes - bench.scoring.least_probes())
-    return TrialFinished(
+    return core.TrialFinished(
         bench.now_s(), trial, seed, ending.outcome, ending.reason, ending.probes, excess,
         margin_mm, contradicted,
     )  # fmt: skip

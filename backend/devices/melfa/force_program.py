@@ -11,15 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from touchdown.backend import core
 from touchdown.backend.config import MelfaSettings
-from touchdown.backend.core import (
-    Fault,
-    FaultError,
-    FloatArray,
-    OnsetDetector,
-    OnsetRule,
-    RefusedError,
-)
 from touchdown.backend.devices import streamed
 from touchdown.backend.devices.melfa.command_channel import Console, ControllerLinks
 from touchdown.backend.devices.melfa.r3_protocol import R3Request
@@ -39,7 +32,7 @@ class ControllerPress:
         self,
         motion: ArmPress,
         command: PressCommand,
-        before: tuple[FloatArray, FloatArray],
+        before: tuple[core.FloatArray, core.FloatArray],
         margin_s: float,
     ) -> None:
         self.motion, self._command, self._margin_s = motion, command, margin_s
@@ -47,7 +40,7 @@ class ControllerPress:
         self._unloaded_n = 0.0
         t_s, force_n = before
         self._air_n = force_n[t_s >= t_s[-1] - streamed.AIR_WINDOW_S].mean(axis=0)
-        self._detector = OnsetDetector(OnsetRule(threshold_n=command.threshold_n))
+        self._detector = core.OnsetDetector(core.OnsetRule(threshold_n=command.threshold_n))
         self._detector.feed(t_s, force_n[:, 2])
         self._felt_s, self._press_n = float(t_s[-1]), math.nan
         descent_s = command.max_travel_mm / command.approach_mm_s
@@ -82,15 +75,15 @@ class ControllerPress:
         self._unloading, self._unloaded_n = motion, force_n
         self._ends_s = now_s + streamed.UNLOAD_MM / speed + self._margin_s
 
-    def end(self, fault: Fault) -> None:
+    def end(self, fault: core.Fault) -> None:
         """End the press: the program was stopped."""
         self.motion.end(fault)
         if self._unloading is not None:
             self._unloading.end(fault)
 
     def step(
-        self, now_s: float, samples: tuple[FloatArray, FloatArray], *, running: bool
-    ) -> Fault | None:
+        self, now_s: float, samples: tuple[core.FloatArray, core.FloatArray], *, running: bool
+    ) -> core.Fault | None:
         """Process samples (n,), (n, 3) and the program state; a returned fault aborts the
         program.
         """
@@ -109,7 +102,7 @@ class ControllerPress:
             self.motion.end()
         return None
 
-    def _wrong(self, now_s: float, tripped: bool, *, running: bool) -> Fault | None:
+    def _wrong(self, now_s: float, tripped: bool, *, running: bool) -> core.Fault | None:
         if tripped:
             return streamed.TRIPPED
         if not now_s - self._felt_s <= streamed.OLD_S:
@@ -120,7 +113,7 @@ class ControllerPress:
             return LATE if self._unloading is None else streamed.not_unloaded_fault(self._press_n)
         return None
 
-    def _add_samples(self, t_s: FloatArray, force_n: FloatArray) -> bool:
+    def _add_samples(self, t_s: core.FloatArray, force_n: core.FloatArray) -> bool:
         """Add samples; return True above the trip limit."""
         finite = np.isfinite(force_n).all(axis=1)
         if not finite.any():
@@ -147,7 +140,7 @@ LATE = arm_fault(
 )
 
 
-AirBaseline = tuple[FloatArray, FloatArray]  # times (n,) and forces (n, 3)
+AirBaseline = tuple[core.FloatArray, core.FloatArray]  # times (n,) and forces (n, 3)
 HOT_S = 1.0
 UNLOAD, ABORT = 2, 3  # values of the variable MDO
 # Additional delay of positions: they come at most ten times per second, and not while variables are
@@ -190,7 +183,7 @@ class ForceProgram:
         most_n = command.depth_mm * command.stiffness_n_mm[2]
         limit_n = self._settings.probe_force_limit_n
         if not most_n <= limit_n:
-            raise RefusedError(
+            raise core.RefusedError(
                 "PROBE-FORCE", f"{most_n:.1f} N could be reached; the limit is {limit_n:.1f} N."
             )
 
@@ -227,7 +220,7 @@ class ForceProgram:
         """Command the program to lift; raises ``FaultError`` unless its press had contact."""
         press = self._press
         if press is None or not press.holds(now_s):
-            raise FaultError(streamed.NOT_PRESSING)
+            raise core.FaultError(streamed.NOT_PRESSING)
         motion = CommandedMotion({"force_n": force_n, "speed_mm_s": speed_mm_s})
         for name, value in (
             ("MDUNL", UNLOAD_SHARE * force_n), ("MDUSP", speed_mm_s), ("MDO", UNLOAD),
@@ -236,7 +229,9 @@ class ForceProgram:
         press.unload(motion, force_n, now_s, speed_mm_s)
         return motion
 
-    def cycle(self, now_s: float, samples: tuple[FloatArray, FloatArray], *, running: bool) -> None:
+    def cycle(
+        self, now_s: float, samples: tuple[core.FloatArray, core.FloatArray], *, running: bool
+    ) -> None:
         """Process one cycle; abort the program after a fault. During the descent the program only
         reads its own sensor, so it is stopped there.
         """
@@ -250,7 +245,7 @@ class ForceProgram:
         self._wires.stop_now(END)
         self._wires.pace(running=False)
 
-    def end(self, fault: Fault) -> None:
+    def end(self, fault: core.Fault) -> None:
         """Handle a stop of the program."""
         press, self._press = self._press, None
         if press is not None:

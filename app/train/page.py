@@ -72,8 +72,9 @@ class TrainPage(WorkspacePage):
         assert column is not None
         column.setAlignment(self.form, Qt.AlignmentFlag.AlignTop)
         self.samples_panel = base.Panel("Held-out probes, true patch outlined")
-        self.samples_panel.detail.setText(base.tr("Probability: blue 0, yellow 1"))
-        self.samples_panel.detail.setToolTip(base.tr("Predicted probability of contact"))
+        self.samples_panel.detail.setText(base.tr("yellow: contact"))
+        tip = "Predicted probability of contact: blue 0, yellow 1"
+        self.samples_panel.detail.setToolTip(base.tr(tip))
         self.samples_panel.column.addWidget(self.samples, 1)
         middle = column_of((self._curves(), 3), (self.samples_panel, 2))
         self.runs_panel = base.Panel("Trainings", self.runs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -156,7 +156,7 @@ class Campaign:
     """Plan of a campaign.
 
     ``skipped`` are items left out. ``mountings`` counts the mountings begun; each start of the
-    campaign begins another one.
+    campaign begins another one. ``recording``: values of its recording plan; empty without one.
     """
 
     uuid: str
@@ -168,6 +168,7 @@ class Campaign:
     within_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
     skipped: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
     mountings: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    recording: dict[str, str | int | float | None] = field(default_factory=dict)
 
     def todo(self, entries: Iterable[EpisodeEntry]) -> list[int]:
         """Return the items that are neither in ``entries`` nor skipped, in order."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import dataclass, replace
+from typing import Any
 
 from touchdown.backend import core
 from touchdown.backend.annotations import (
@@ -37,6 +38,9 @@ from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_finished, 
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.recorder import not_saved_fault, save_or_wait
 from touchdown.backend.runs.requests import CollectRequest, request_record
+
+GRIP_LIMITS = ("probes_per_grip", "grips_per_mounting")
+RECORDED = ("stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n", *GRIP_LIMITS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +108,15 @@ def prepare_campaign(
     """
     dataset = _dataset(session, request)
     campaign = _begun(dataset, request)
+    stored: dict[str, Any] = {n: v for n, v in campaign.recording.items() if n in RECORDED}
+    stored |= {n: v for n in GRIP_LIMITS if (v := getattr(request, n)) is not None}
+    if campaign.recording and request.stage not in ("", stored.get("stage")):
+        what = f"The campaign records '{stored.get('stage')}', not '{request.stage}'."
+        raise core.InputError(what, "--plan", "Leave it out: a campaign keeps its plan.")
     request = replace(
         request, piece=campaign.piece, bottom=campaign.bottom, count=campaign.count,
         pattern=campaign.pattern, seed=campaign.seed, within_mm=campaign.within_mm,
-        campaign=campaign.uuid,
+        campaign=campaign.uuid, **stored,
     )  # fmt: skip
     session.check_scene(request.scene())
     piece, bottom = session.catalogue.top(campaign.piece), session.catalogue.bottom(campaign.bottom)
@@ -238,10 +247,12 @@ def _begun(dataset: Dataset, request: CollectRequest) -> Campaign:
         return current_campaign(dataset, request.campaign)
     # Ids order campaigns by age, also after the clock was set back.
     follow_uuid(newest_campaign(dataset.folder) or "")
-    return new_campaign(
+    recording = {n: getattr(request, n) for n in RECORDED} if request.stage else {}
+    campaign = new_campaign(
         request.piece, request.bottom, request.pattern, request.seed, request.count,
         request.within_mm,
     )  # fmt: skip
+    return replace(campaign, recording=recording)
 
 
 def _context(

@@ -192,7 +192,7 @@ class CollectRequest:
     check_origin : bool, default: False
         Probe the edges of the bottom after every mounting.
     campaign : str, optional
-        Identifier of a campaign to continue; its plan replaces the values above.
+        Identifier of a campaign to continue; its plan replaces the values above, and the press.
     ask : bool, default: False
         Wait for a decision after every probe.
     probes_per_grip : int, optional

@@ -6,6 +6,7 @@ import json
 import math
 from collections import Counter
 from contextlib import contextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,6 +28,7 @@ from touchdown.backend.core.events import (
 from touchdown.backend.core.faults import Fault, FaultError, InputError, RefusedError
 from touchdown.backend.episodes import REST_KEY, read_first
 from touchdown.backend.runs import CollectRequest, RunState, jig, newest_campaign, read_campaign
+from touchdown.backend.runs.collect import prepare_campaign
 from touchdown.backend.sensing.scene_camera import Homography
 
 pytestmark = pytest.mark.slow
@@ -168,6 +170,14 @@ def test_rest_is_recorded_before_the_first_probe_and_belongs_to_no_campaign(tmp_
         assert facts["stage"] == "rest"
         assert json.loads(facts["probe"])["grip_force_n"] == 8.0
         assert collected.of(ProbeCollected)[-1].done == 1
+        # The campaign keeps its plan.
+        again = CollectRequest(campaign=newest_campaign(tmp_path / "ds"), person="ann")
+        resumed = prepare_campaign(collected.session, replace(again, grips_per_mounting=4))[2]
+        named = "stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n", "probes_per_grip"
+        assert [getattr(resumed, n) for n in named] == ["rest", 0.6, None, 0.4, 8.0, 50]
+        assert (type(resumed.probes_per_grip), resumed.grips_per_mounting) == (int, 4)
+        with pytest.raises(InputError, match="The campaign records 'rest', not 'gel'"):
+            prepare_campaign(collected.session, replace(again, stage="gel"))
 
 
 def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path):

@@ -4,8 +4,7 @@
 Each trial puts a piece down at a random place with a drawn margin, as after an unloading until the
 support carries the weight. The jaws open in small held steps. Frames and wrench are compared with
 those before the step, or with the first ones after it. A piece counts as caught if the alarm leaves
-time to close the jaws before it has turned too far; an alarm at a stable piece is a false stop. The
-model is ``tests.staged_release``.
+time to close the jaws before it has turned too far; an alarm at a stable piece is a false stop.
 """
 
 from __future__ import annotations
@@ -13,35 +12,49 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from tests import staged_release
-from tests.staged_release import LoosePads, OpeningCourse, OpeningPlan, StandingPiece, open_in_steps
+from touchdown.backend.bench import SimulatedBenchChoice, simulated_session
 from touchdown.backend.config import (
     ProbeSettings,
     SimulationSettings,
+    StackSettings,
     bench_sha256,
     load_simulation,
     parse_settings,
 )
-from touchdown.backend.core import FloatArray, package_version, write_atomically
+from touchdown.backend.core import (
+    FloatArray,
+    PlaceAction,
+    Stability,
+    SupportKind,
+    package_version,
+    write_atomically,
+)
 from touchdown.backend.experiments import PIECES
 from touchdown.backend.experiments.document import ReportTable
 from touchdown.backend.experiments.statistics import estimate_rate
-from touchdown.backend.geometry import Piece, load_pieces, overlap_polygon
+from touchdown.backend.geometry import Piece, face_points, load_pieces, overlap_polygon
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore, ProcessPool, run_campaign
-from touchdown.backend.simulation import gel_from_settings
+from touchdown.backend.placement import PlaceDecision, ProbeObservation
+from touchdown.backend.placement.belief import Belief
+from touchdown.backend.runs import NoEstimator, StackRequest
+from touchdown.backend.runs.release import lean_sigmas
+from touchdown.backend.sensing import TurnDetector
+from touchdown.backend.simulation import gel_from_settings, opening
+from touchdown.backend.simulation.opening import LoosePads, StandingPiece, TurningPiece
 
 FORMAT = "touchdown-staged-release/1"
-MODEL = Path(staged_release.__file__)
+MODEL = Path(opening.__file__)
 STUDY_BOTTOMS = ("short", "long", "hex20", "rect12x28")
 SEED = 8_000_000
 UNSTABLE_MM, STABLE_MM = (-2.0, 0.0), (0.0, 4.0)  # ranges of the drawn margins
@@ -58,6 +71,95 @@ DETECTORS = tuple(
 )
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
 Json = dict[str, Any]
+SUPPORTED_S = 0.5  # time between the unloading and the first step
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningPlan:
+    """Opening in steps of the width: ``step_mm`` at ``speed_mm_s``, each held for ``hold_s``.
+
+    ``steps``: number of them. Times count from the start; the first step begins at ``SUPPORTED_S``.
+    """
+
+    step_mm: float = 0.1
+    hold_s: float = 1.0
+    speed_mm_s: float = 5.0
+    steps: int = 8
+
+    @property
+    def starts_s(self) -> FloatArray:
+        """(steps,) times at which the steps begin."""
+        return np.asarray(SUPPORTED_S + self.hold_s * np.arange(self.steps), dtype=np.float64)
+
+    @property
+    def end_s(self) -> float:
+        """End of the last hold."""
+        return SUPPORTED_S + self.hold_s * self.steps
+
+    def opened_mm(self, t_s: float) -> float:
+        """Return how far the width has grown."""
+        if t_s < SUPPORTED_S:
+            return 0.0
+        whole, rest_s = divmod(t_s - SUPPORTED_S, self.hold_s)
+        within = min(self.step_mm, self.speed_mm_s * rest_s)
+        return min(self.steps * self.step_mm, whole * self.step_mm + within)
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningCourse:
+    """The motion, sampled at ``t_s`` (T,).
+
+    ``angle_rad`` (B, T), constant after the fall; ``strain`` (B, T, 2, 3); ``normal_n`` (B, T, 2);
+    ``wrench_g`` (B, T, 6): force (N) and moment (N·mm at the pivot ``G``) of the piece on the hand.
+    """
+
+    t_s: FloatArray
+    angle_rad: FloatArray
+    strain: FloatArray
+    normal_n: FloatArray
+    wrench_g: FloatArray
+
+    def reached_s(self, angle_rad: float) -> FloatArray:
+        """Return the time (B,) at which the angle first has this size; infinite if never."""
+        beyond = np.abs(self.angle_rad) >= angle_rad
+        return np.where(beyond.any(axis=1), self.t_s[beyond.argmax(axis=1)], np.inf)
+
+
+def open_in_steps(
+    piece: StandingPiece,
+    pads: LoosePads,
+    plan: OpeningPlan,
+    dt_s: float = 2e-4,
+    sample_s: float = 0.01,
+) -> OpeningCourse:
+    """Simulate the opening.
+
+    Parameters
+    ----------
+    piece, pads : StandingPiece, LoosePads
+        B pieces and their grips, at rest and flat on the support.
+    plan : OpeningPlan
+        Motion of the jaws.
+    dt_s : float
+        Step of the integration (semi-implicit Euler).
+    sample_s : float
+        Interval of the result, a multiple of ``dt_s``.
+
+    Returns
+    -------
+    OpeningCourse
+
+    """
+    moving = TurningPiece(piece, pads, dt_s)
+    every = round(sample_s / dt_s)
+    times, samples = [], []
+    for k in range(round(plan.end_s / dt_s) + 1):
+        if k % every == 0:
+            times.append(k * dt_s)
+            samples.append(moving.sample())
+        moving.advance(0.5 * plan.opened_mm(k * dt_s))
+    angle, strain, normal, wrench = (np.stack(part, axis=1) for part in zip(*samples, strict=True))
+    return OpeningCourse(np.array(times), angle, strain, normal, wrench)
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +541,127 @@ def release_table(answer: Json) -> ReportTable:
     )
 
 
-KINDS = {"staged-release": simulate_releases}
+@dataclass
+class ForcedRelease:
+    """Strategy that releases after every probe."""
+
+    settings: StackSettings
+    regrasps: int = 0
+
+    def conclude(self, touched: ProbeObservation) -> PlaceDecision:
+        """Release, with a margin that is always enough."""
+        here = touched.offset_mm
+        stable = Stability(True, 9.0, SupportKind.AREA, np.zeros((0, 2)), here, "belief")
+        belief = Belief.unknown(self.settings.belief, here)
+        action = PlaceAction("release", (0.0, 0.0), None, False, "Forced.")
+        return PlaceDecision(belief.map, stable, action)
+
+
+def release_on_bench(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
+    """Press once at a place with about a drawn margin, then release by the simulated bench.
+
+    Returns the true margin, the outcome of the first release, and the largest scores: within the
+    holds, of the growth and of the lean (None if the jaws closed before the last step).
+    """
+    p, rng, catalogue = spec.params, np.random.default_rng([spec.seed, 11]), load_pieces()
+    piece, bottom = p["piece"], STUDY_BOTTOMS[rng.integers(len(STUDY_BOTTOMS))]
+    margin_mm = rng.uniform(*(STABLE_MM if p["stable"] else UNSTABLE_MM))
+    at = place_with_margin(
+        catalogue.top(piece), catalogue.bottom(bottom), margin_mm, rng.uniform(0.0, 2.0 * np.pi)
+    )
+    method = StackSettings.model_validate({"release": p["release"]})
+    best: dict[str, float] = {}
+
+    def note(name: str, score: float) -> float:
+        best[name] = max(best.get(name, 0.0), round(score, 2))
+        return score
+
+    class Watched(TurnDetector):
+        def hold(self, since_s: float, now_s: float) -> float:
+            return note("hold", super().hold(since_s, now_s))
+
+        def growth(self) -> float:
+            return note("growth", super().growth())
+
+    def lean(load: FloatArray) -> float:
+        return note("lean", lean_sigmas(load))
+
+    runs = "touchdown.backend.runs"
+    with (
+        mock.patch(f"{runs}.stack.make_strategy", return_value=ForcedRelease(method)),
+        mock.patch("touchdown.backend.bench.assembly.draw_start", return_value=at),
+        mock.patch(f"{runs}.release.TurnDetector", Watched),
+        mock.patch(f"{runs}.stack.MOST_TURNS", 1),
+        mock.patch(f"{runs}.release.lean_sigmas", lean),
+    ):
+        session = simulated_session(
+            SimulatedBenchChoice(preset=p["preset"]),
+            method=method,
+            estimate=lambda _: NoEstimator(face_points(catalogue.top(piece).face)),
+        )
+        (trial,) = session.run(StackRequest(piece, (bottom,), seed=spec.seed)).trials
+        session.close()
+    return {
+        "piece": piece, "bottom": bottom, "seed": spec.seed, "margin_mm": trial.margin_mm,
+        "outcome": trial.outcome.name, "reason": trial.reason,
+        "hold": best.get("hold"), "growth": best.get("growth"), "lean": best.get("lean"),
+    }  # fmt: skip
+
+
+RIG_SEED, RIG_PRESET, RIG_STAGES = 9_000_000, "bench-v2", 38
+RIG_FORMAT = "touchdown-staged-release-rig/1"
+
+
+def rig_jobs(
+    pieces: Sequence[str], count: int, release: Mapping[str, Any], code: str
+) -> list[JobSpec]:
+    """Return ``count`` unstable and as many stable releases of each piece, one a job."""
+    return [
+        JobSpec("rig-release", {"piece": piece, "stable": stable, "preset": RIG_PRESET,
+                                "release": dict(release)},
+                RIG_SEED + 10_000 * number + 2 * trial + stable, (), code)
+        for number, piece in enumerate(pieces)
+        for trial in range(count)
+        for stable in (False, True)
+    ]  # fmt: skip
+
+
+def rig_answer(jobs: Sequence[JobSpec], store: JobStore) -> Json:
+    """Return the finished releases, and by piece: caught, false stops, harm with and without."""
+    trials = [dict(store.result(spec.id)) for spec in jobs if store.has(spec.id)]
+    ended = {"PLACED", "FELL", "GAVE_UP"}
+    groups = []
+    for piece in dict.fromkeys(trial["piece"] for trial in trials):
+        own = [t for t in trials if t["piece"] == piece and t["outcome"] in ended]
+        sides = {
+            "unstable": [t for t in own if t["margin_mm"] <= 0.0],
+            "beyond": [t for t in own if t["margin_mm"] < -0.5],
+            "stable": [t for t in own if t["margin_mm"] > 0.0],
+        }
+        counts: Json = {name: len(of) for name, of in sides.items()}
+        for name, of in sides.items():
+            held = sum(t["outcome"] == "GAVE_UP" for t in of)
+            counts[f"{name}_held_again"] = estimate_rate(held, len(of)).as_json() if of else None
+        fell = sum(t["outcome"] == "FELL" for t in own)
+        groups.append({"piece": piece, "fell": fell, **counts})
+    return {"format": RIG_FORMAT, "simulated": True, "preset": RIG_PRESET, "groups": groups,
+            "trials": trials}  # fmt: skip
+
+
+KINDS = {"staged-release": simulate_releases, "rig-release": release_on_bench}
+
+
+def study_rig(pieces: Sequence[str], count: int, out: Path, workers: int) -> int:
+    """Run the releases through the rig and print the counts; return 1 if a job failed."""
+    release, code = {"stages": RIG_STAGES}, package_version("touchdown")
+    jobs, store = rig_jobs(pieces, count, release, code), JobStore(out / "jobs")
+    for result in run_campaign(jobs, ProcessPool(KINDS, store, workers), store):
+        sys.stdout.write(f"{result.kind}: {result.state}\n")
+    answer = rig_answer(jobs, store)
+    write_atomically(out / "release-rig.json", json.dumps(answer, sort_keys=True).encode() + b"\n")
+    for group in answer["groups"]:
+        sys.stdout.write(f"{group}\n")
+    return 0 if all(store.has(spec.id) for spec in jobs) else 1
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -456,7 +678,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--left", type=float, default=1.0,
                         help="factor of what the unloading leaves in the pads")  # fmt: skip
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--rig", type=int, default=0, metavar="N", help="instead: N unstable and N "
+                        "stable releases of each piece through the simulated bench")  # fmt: skip
     args = parser.parse_args(argv)
+    if args.rig:
+        return study_rig(args.pieces.split(","), args.rig, args.out, args.workers)
     plan = ReleaseStudy(
         load_simulation(preset="bench-v1"),
         package_version("touchdown"),

@@ -25,14 +25,16 @@ from tests.release_study import (
     BEFORE,
     DETECTORS,
     STUDY_BOTTOMS,
+    OpeningCourse,
+    OpeningPlan,
     alarm_scores,
     draw_pads,
     draw_standing,
     main,
+    open_in_steps,
     place_with_margin,
     roc_of,
 )
-from tests.staged_release import OpeningCourse, OpeningPlan, open_in_steps
 from touchdown.backend.config import load_simulation
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.geometry.tower import Tower, judge_tower

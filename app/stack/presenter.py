@@ -305,6 +305,7 @@ def stack_request(form: RunForm) -> StackRequest:
         mode=cast("DecisionMode", form.mode),
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
         weigh=form.weigh,
+        staged=form.staged,
     )
 
 

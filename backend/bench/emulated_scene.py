@@ -324,6 +324,9 @@ class SceneDynpick(EmulatedDynpick):
         return super().due(min(now_s, self._emulated.sampled_until_s))
 
 
+LEAST_STEP_MM, STEP_MM_S = 0.01, 5.0  # smallest step of the jaws, and speed of one that was missed
+
+
 class SceneWsg(EmulatedWsg):
     """Emulated gripper whose jaws hold the piece of a scene."""
 
@@ -342,15 +345,18 @@ class SceneWsg(EmulatedWsg):
         self.jaws.part_mm = self._piece_mm if hand.piece_present else None
         out = super().due(now_s)
         motion = self.jaws.motion
+        # A short step may begin and end between two calls.
+        open_mm, speed_mm_s = self.jaws.width_mm, STEP_MM_S
+        if motion is not None and motion.velocity_mm_s > 0.0:
+            open_mm, speed_mm_s = motion.target_mm, motion.velocity_mm_s
         if not self._held and self.jaws.force_n > 0.0:
             self._held = True
             hand.width_mm = self._piece_mm
             hand.close(0.5 * self.jaws.force_n)
-        elif self._held and motion is not None and motion.velocity_mm_s > 0.0:
-            self._held = False
-            self.openings += 1
-            self._in_hand = self._is_taken()
-            hand.open_to(motion.target_mm, motion.velocity_mm_s)
+        elif (self._held or hand.loosened) and open_mm > hand.width_mm + LEAST_STEP_MM:
+            self.openings += self._held
+            self._held, self._in_hand = False, self._is_taken()
+            hand.open_to(open_mm, speed_mm_s)
         elif self._in_hand and not hand.piece_present:
             self._in_hand, hand.piece_present = False, True
         elif motion is None and not (self._held or hand.piece_present) and self._is_taken():

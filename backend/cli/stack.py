@@ -59,6 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--weigh", action="store_true",
         help="weigh the piece in six poses first, and judge by its measured centre of mass",
     )  # fmt: skip
+    parser.add_argument(
+        "--staged", action="store_true",
+        help="open the jaws in held steps, and close them if the piece begins to turn",
+    )  # fmt: skip
     connection.add_bench_arguments(parser)
     parser.add_argument("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
                         help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip
@@ -90,6 +94,7 @@ def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:
         model=args.model,
         origin_mm=(args.origin[0], args.origin[1]),
         weigh=args.weigh,
+        staged=args.staged,
     )
     runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=not args.no_episodes)

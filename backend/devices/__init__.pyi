@@ -7,6 +7,7 @@ from .guarded_devices import GuardedArm as GuardedArm
 from .guarded_devices import GuardedGripper as GuardedGripper
 from .interlock import LEASE_S as LEASE_S
 from .interlock import MAX_WIDTH_CHANGE_MM as MAX_WIDTH_CHANGE_MM
+from .interlock import STAGE_S as STAGE_S
 from .interlock import STATIONARY_MM as STATIONARY_MM
 from .interlock import UNLOADED_N as UNLOADED_N
 from .interlock import ByHand as ByHand
@@ -14,10 +15,12 @@ from .interlock import Interlock as Interlock
 from .interlock import JigEvidence as JigEvidence
 from .interlock import ReleaseAuthorisation as ReleaseAuthorisation
 from .interlock import ReleaseEvidence as ReleaseEvidence
+from .interlock import StagedOpening as StagedOpening
 from .interlock import jig_refusal as jig_refusal
 from .interlock import recent_positions_mm as recent_positions_mm
 from .interlock import refuse_outside as refuse_outside
 from .interlock import release_refusal as release_refusal
+from .interlock import stop_jaws as stop_jaws
 from .interlock import travelled_mm as travelled_mm
 from .jog import FRAMES as FRAMES
 from .jog import STEPS_DEG as STEPS_DEG

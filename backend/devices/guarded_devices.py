@@ -25,6 +25,7 @@ from touchdown.backend.devices.interlock import (
     JigEvidence,
     ReleaseAuthorisation,
     ReleaseEvidence,
+    StagedOpening,
     distance_to_limit_mm,
     jig_refusal,
     refuse_forced,
@@ -33,6 +34,7 @@ from touchdown.backend.devices.interlock import (
     refuse_turning,
     refuse_unknown,
     release_refusal,
+    stop_jaws,
     turn_to_limit_rad,
     turned_descent_mm,
 )
@@ -134,6 +136,10 @@ class GuardedArm(_Guarded):
 
     def _require_motion(self) -> None:
         self._interlock.require_motion(self._now_s())
+        if self._interlock.staged is not None:
+            raise RefusedError(
+                "JAWS-LOOSE", "The jaws are opening in stages: the arm stands still."
+            )
         if self._arm.status().robot_mode is RobotMode.SERVO_OFF:
             raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
 
@@ -332,7 +338,8 @@ class GuardedGripper(_Guarded):
         self._gripper, self._interlock, self._now_s = gripper, interlock, now_s
         self.grips: int = 0
         self.letting_go: bool = False
-        interlock.on_stop(gripper.stop)
+        self._closing: Motion | None = None  # of loosened jaws after a stop
+        interlock.on_stop(self._stop_jaws)
 
     def status(self) -> GripStatus:
         """Present width, force and whether a piece is held."""
@@ -342,6 +349,7 @@ class GuardedGripper(_Guarded):
         """Grip with ``force_n`` per finger."""
         self._interlock.require_motion(self._now_s())
         self.grips, self.letting_go = self.grips + 1, False
+        self._interlock.staged = None
         return self._gripper.grip(force_n)
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> Motion:
@@ -349,7 +357,40 @@ class GuardedGripper(_Guarded):
         self._interlock.require_motion(self._now_s())
         if self._gripper.status().holding:
             raise RefusedError("HOLDING", "A piece is held: the gripper opens only for a release.")
+        self._interlock.staged = None
         return self._gripper.open_to(width_mm, speed_mm_s)
+
+    def open_step(
+        self,
+        evidence: ReleaseEvidence | None,
+        width_mm: float,
+        speed_mm_s: float,
+        *,
+        force_n: float,
+        moved_mm: float,
+    ) -> Motion:
+        """Open by one step of an opening in stages; the first one needs the release conditions.
+
+        From then on STOP and faults close the jaws with ``force_n`` a finger, until they grip or
+        open at once. ``moved_mm``: largest travel of the standing arm.
+        """
+        lock, now_s = self._interlock, self._now_s()
+        lock.require_motion(now_s)
+        staged = lock.staged
+        if evidence is not None:
+            refusal = release_refusal(evidence, untested=lock.untested_release)
+            if refusal is not None:
+                raise RefusedError(*refusal)
+            staged = StagedOpening(self.status().width_mm, force_n)
+        if staged is None:
+            raise RefusedError("NOT-STAGED", "No opening in stages is in progress.")
+        staged.take_step(width_mm, now_s, moved_mm)
+        if isinstance(self._gripper, AuthorisedGripper):
+            opening = self._gripper.open_step(evidence, width_mm, speed_mm_s, force_n)
+        else:
+            opening = self._gripper.open_to(width_mm, speed_mm_s)
+        lock.staged, self.letting_go = staged, True
+        return opening
 
     def open_by_hand(self, width_mm: float, speed_mm_s: float, *, confirmed: bool) -> Motion:
         """Open on the operator's command; a held piece needs a confirmation."""
@@ -384,5 +425,13 @@ class GuardedGripper(_Guarded):
         return opening
 
     def stop(self) -> None:
-        """Latch the interlock and stop; the grip is kept."""
+        """Latch the interlock and stop; the grip is kept, loosened jaws close."""
         self._interlock.stop()
+
+    def _stop_jaws(self) -> None:
+        staged, self._interlock.staged = self._interlock.staged, None
+        if staged is not None:
+            self.grips, self.letting_go = self.grips + 1, False
+        # A gripper with a rig of its own closes there.
+        there = isinstance(self._gripper, AuthorisedGripper)
+        self._closing = stop_jaws(self._gripper, None if there else staged, self._closing)

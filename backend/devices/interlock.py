@@ -1,8 +1,9 @@
 """Safety interlock of arm, gripper: stop latch, motion lease, limits, release conditions.
 
 Plans and windows use the guarded devices only. ``stop`` works from any thread in every state, never
-waits and never opens the gripper. Motion needs a lease: the owner of the motion renews it, and
-motion ends when it expires. Each refusal has a name (``RefusedError.reason``).
+waits and never opens the gripper; jaws that open in stages close. Motion needs a lease: the owner
+of the motion renews it, and motion ends when it expires. Each refusal has a name
+(``RefusedError.reason``).
 
 Translation directions are unit vectors in the bench frame, z points up. Turns are (3, 3) in the
 bench frame; ``surface_mm`` is the height of ``G`` at which a held piece touches the support, NaN if
@@ -27,12 +28,13 @@ from touchdown.backend.core import (
     Pose,
     RefusedError,
     SampleStream,
+    TouchdownError,
     pose_rotation,
     rotation_angle_rad,
     tilt_margin_rad,
     tilt_rad,
 )
-from touchdown.backend.devices.protocols import RETREAT_FAULTS, Motion
+from touchdown.backend.devices.protocols import RETREAT_FAULTS, Gripper, Motion
 
 LEAST_OVERRIDE = 0.1  # below this, a move of a run would exceed its time limit
 LEASE_S = 0.25  # motion ends this long after the last renewal
@@ -117,6 +119,58 @@ def release_refusal(evidence: ReleaseEvidence, *, untested: bool = False) -> tup
     return None
 
 
+# An opening in stages: largest step of the width, least time of a step, and largest sum.
+STAGE_MM, STAGE_S, STAGES_MM = 0.1, 1.0, 4.0
+WIDTH_NOISE_MM = 0.05
+
+
+class StagedOpening:
+    """Opening of the jaws in small held steps, from the first one to the grip or to open jaws.
+
+    Meanwhile STOP and faults close the jaws with ``force_n`` a finger, and nothing else moves.
+    ``width_mm``: measured width before the first step.
+    """
+
+    def __init__(self, width_mm: float, force_n: float) -> None:
+        self.force_n = force_n
+        self._gripped_mm = self._width_mm = width_mm
+        self._stepped_s = -math.inf
+
+    def take_step(self, width_mm: float, now_s: float, moved_mm: float) -> None:
+        """Record a step to ``width_mm``; raise ``RefusedError`` if it breaks a limit.
+
+        ``moved_mm`` is the largest travel of the standing arm (``travelled_mm``). NaN is refused.
+        """
+        step_mm = width_mm - self._width_mm
+        if not 0.0 < step_mm <= STAGE_MM + WIDTH_NOISE_MM:
+            raise RefusedError("STAGE-STEP", f"{step_mm:.2f} mm is not within 0 to {STAGE_MM} mm.")
+        if not width_mm - self._gripped_mm <= STAGES_MM:
+            raise RefusedError("STAGE-WIDTH", f"The jaws would open by more than {STAGES_MM} mm.")
+        if not now_s - self._stepped_s >= STAGE_S - 1e-6:
+            raise RefusedError("STAGE-EARLY", f"Each step is held for {STAGE_S:.0f} s.")
+        if not 0 <= moved_mm <= STATIONARY_MM:
+            raise RefusedError("ARM-MOVING", "The arm is not standing still.")
+        self._width_mm, self._stepped_s = width_mm, now_s
+
+
+def stop_jaws(
+    gripper: Gripper, staged: StagedOpening | None, closing: Motion | None
+) -> Motion | None:
+    """Stop the gripper and keep the grip; close jaws that a ``staged`` opening has loosened.
+
+    ``closing``: what the last call returned. A further stop does not interrupt it.
+    """
+    if staged is not None:
+        try:
+            return gripper.grip(staged.force_n)
+        except TouchdownError:
+            closing = None
+    if closing is None or closing.done:
+        gripper.stop()
+        return None
+    return closing
+
+
 class Interlock:
     """Stop latch, motion lease, limits and latched faults. Thread-safe.
 
@@ -145,6 +199,7 @@ class Interlock:
         self.late: Mapping[str, str] = {}  # description by device of all that are late or slow
         # True only on a simulated bench while the pick-and-place baseline runs.
         self.untested_release = False
+        self.staged: StagedOpening | None = None  # the opening in stages in progress
 
     @property
     def latched(self) -> bool:
@@ -295,7 +350,15 @@ ReleaseAuthorisation = ReleaseEvidence | JigEvidence | ByHand
 
 @runtime_checkable
 class AuthorisedGripper(Protocol):
-    """A gripper that checks the measurements of the rig before it opens on a held piece."""
+    """A gripper that checks the measurements of the rig before it opens on a held piece.
+
+    Its ``stop`` closes the jaws during an opening in stages.
+    """
+
+    def open_step(
+        self, right: ReleaseEvidence | None, width_mm: float, speed_mm_s: float, force_n: float
+    ) -> Motion:
+        """Open by one step of an opening in stages; the first one needs its ``right``."""
 
     def open_held(self, right: ReleaseAuthorisation, width_mm: float, speed_mm_s: float) -> Motion:
         """Open to ``width_mm`` if ``right`` and the measurements permit it, else raise

@@ -17,6 +17,7 @@ from .policy import judge_stability as judge_stability
 from .policy import shift_towards as shift_towards
 from .strategies import FusedStrategy as FusedStrategy
 from .strategies import GraspedPiece as GraspedPiece
+from .strategies import GraspStrategy as GraspStrategy
 from .strategies import PlaceDecision as PlaceDecision
 from .strategies import ProbeObservation as ProbeObservation
 from .strategies import SearchingStrategy as SearchingStrategy

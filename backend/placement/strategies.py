@@ -243,7 +243,18 @@ class SearchingStrategy(Strategy, Protocol):
         """Return how far the signals of the trial are from the training data."""
 
 
-class PaperStrategy:
+class GraspStrategy:
+    """Strategy that keeps its evidence when the piece is gripped again."""
+
+    _held: GraspedPiece
+
+    def regrasped(self, sigma_mm: float) -> None:
+        """Keep the evidence; its place on the piece is uncertain by ``sigma_mm`` more."""
+        sigma_mm = math.hypot(self._held.com_sigma_mm, sigma_mm)
+        self._held = replace(self._held, com_sigma_mm=sigma_mm)
+
+
+class PaperStrategy(GraspStrategy):
     """Strategy of Ota et al.: independent cells, hull of the confident ones, step to its centre.
 
     ``paper`` adds the raw logits of all probes. ``paper-calibrated`` adds calibrated evidence to a
@@ -251,21 +262,20 @@ class PaperStrategy:
     """
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
-        margin_mm = settings.stability.margin_mm + COM_SIGMAS * held.com_sigma_mm
-        judged = settings.stability.model_copy(update={"margin_mm": margin_mm})
-        self._held, self._settings = held, settings.model_copy(update={"stability": judged})
+        self._held, self._settings = held, settings
         calibrated = settings.strategy == "paper-calibrated"
         calibration = held.known_calibration() if calibrated else None
         self._belief = Belief.unknown(settings.belief, origin_mm, held.base_rate, calibration)
 
     def conclude(self, touched: ProbeObservation) -> PlaceDecision:
         """Update the belief, judge stability, choose the action."""
-        settings, here = self._settings, touched.offset_mm
+        policy, here = self._settings.policy, touched.offset_mm
+        margin_mm = self._settings.stability.margin_mm + COM_SIGMAS * self._held.com_sigma_mm
+        judged = self._settings.stability.model_copy(update={"margin_mm": margin_mm})
         self._belief = self._belief.updated(touched.patch, here)
-        stability = judge_stability(
-            self._belief, touched.patch, self._held.com_xy_mm, here, settings.stability
-        )
-        action = choose_action(stability, self._belief, here, settings.policy, settings.stability)
+        com = self._held.com_xy_mm
+        stability = judge_stability(self._belief, touched.patch, com, here, judged)
+        action = choose_action(stability, self._belief, here, policy, judged)
         return PlaceDecision(self._belief.map, stability, action)
 
 
@@ -280,7 +290,7 @@ STEPS_MM = np.arange(-15.0, 15.0, 0.05)
 EXPECTED_SHARE = 1e-3  # probability that is worth a millimetre of expected inset
 
 
-class FusedStrategy:
+class FusedStrategy(GraspStrategy):
     """Strategy with the learned fusion of the signals of all probes."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:
@@ -498,7 +508,7 @@ def best_shift(value: FloatArray, shifts_mm: FloatArray) -> XY:
     return float(x), float(y)
 
 
-class ZeroWrenchStrategy:
+class ZeroWrenchStrategy(GraspStrategy):
     """Strategy that steps towards the centre of pressure, without the network."""
 
     def __init__(self, held: GraspedPiece, settings: StackSettings, origin_mm: XY) -> None:

@@ -121,11 +121,7 @@ class RigHost:
         self._core = safety.Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = safety.DriverCommands(
-            devices.arm,
-            devices.gripper,
-            lambda right: safety.refuse_opening(right, self.measured()),
-        )
+        self._orders = safety.DriverCommands(devices.arm, devices.gripper, self.measured, now_s)
         self._motions: list[_RunningMotion] = []
         self._cancel = threading.Event()
         self._gone = False
@@ -189,7 +185,7 @@ class RigHost:
     def _stop(self, now_s: float, why: str) -> None:
         self._note(now_s, why)
         self.devices.arm.stop()
-        self.devices.gripper.stop()
+        self._orders.stop_gripper()
 
     def _draw_back(self) -> None:
         self._note(self._now_s(), "retreat")
@@ -285,7 +281,7 @@ class RigHost:
         elif kind == "retreat":
             self._draw_back()
         elif kind == "stop gripper":
-            self.devices.gripper.stop()
+            self._orders.stop_gripper()
         elif kind == "cancel":
             self._cancel.set()
         elif kind == "reset":
@@ -299,7 +295,7 @@ class RigHost:
         """Stop immediately, on the thread that detected the loss of the backend, and leave."""
         try:
             self.devices.arm.stop()
-            self.devices.gripper.stop()
+            self._orders.stop_gripper()
         finally:
             self.leave()
 

@@ -31,6 +31,7 @@ from touchdown.backend.devices import (
     Joints,
     PressCommand,
     ReleaseAuthorisation,
+    ReleaseEvidence,
     RobotMode,
     SafetyMode,
     Vector,
@@ -313,8 +314,20 @@ class RigGripper(_Remote):
             speed_mm_s=speed_mm_s,
         )
 
+    def open_step(
+        self, right: ReleaseEvidence | None, width_mm: float, speed_mm_s: float, force_n: float
+    ) -> RigMotion:
+        """Open by one step of an opening in stages; the rig checks its ``right`` and the limits."""
+        return self._link.move(
+            "gripper.open_step",
+            evidence=None if right is None else asdict(right),
+            width_mm=width_mm,
+            speed_mm_s=speed_mm_s,
+            force_n=force_n,
+        )
+
     def stop(self) -> None:
-        """Stop and keep the grip; does not wait."""
+        """Stop and keep the grip, or close loosened jaws; does not wait."""
         self._link.say("stop gripper")
 
 

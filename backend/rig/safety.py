@@ -4,7 +4,7 @@ Functions and state machines without clock, thread or wire::
 
     backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
     motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
-    STOP asked                               STOP, latched until reset
+    STOP asked                               STOP, latched until reset; loosened jaws close
     backend gone (pipe closed, no parent)    STOP, then the process ends
     error of this program                    STOP and a fault
 
@@ -35,9 +35,11 @@ from touchdown.backend.devices import (
     PressCommand,
     ReleaseAuthorisation,
     ReleaseEvidence,
+    StagedOpening,
     jig_refusal,
     refuse_outside,
     release_refusal,
+    stop_jaws,
 )
 
 BACKEND_SILENT_S = 0.25  # the backend beats at least every 50 ms
@@ -202,21 +204,31 @@ MOVES = frozenset(
     {"arm.move_to", "arm.jog", "arm.jog_joints", "arm.move_joints", "arm.press", "arm.unload"}
 )
 # Jaw motion in a run requires a lease and no latch.
-JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held"})
+JAWS = frozenset({"gripper.grip", "gripper.open_to", "gripper.open_held", "gripper.open_step"})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class DriverCommands:
-    """Commands of arm and gripper; ``open_held`` checks the release conditions first."""
+    """Commands of arm and gripper; ``open_held`` checks the release conditions first.
+
+    ``staged`` is the opening in stages in progress; meanwhile the arm stands still.
+    """
 
     arm: Arm
     gripper: Gripper
-    may_open: Callable[[ReleaseAuthorisation], None]
+    measured: Callable[[], RigMeasurement]
+    now_s: Callable[[], float]
+    staged: StagedOpening | None = None
+    closing: Motion | None = None  # of loosened jaws after a stop
 
     def give(self, name: str, given: Arguments, limits: Limits) -> Motion | list[float] | None:
         """Execute command ``name``; return its motion, a value, or None."""
         if name.startswith("gripper."):
             return self._move_gripper(name, given)
+        if name in MOVES and self.staged is not None:
+            raise RefusedError(
+                "JAWS-LOOSE", "The jaws are opening in stages: the arm stands still."
+            )
         match name:
             case "arm.servo":
                 self.arm.servo(bool(given["on"]))
@@ -268,6 +280,7 @@ class DriverCommands:
         gripper = self.gripper
         match name:
             case "gripper.grip":
+                self.staged = None
                 return gripper.grip(given["force_n"])
             case "gripper.open_to":
                 if gripper.status().holding:
@@ -275,10 +288,13 @@ class DriverCommands:
                         "HOLDING",
                         "A piece is held: the gripper opens only for an authorised release.",
                     )
+                self.staged = None
                 return gripper.open_to(given["width_mm"], given["speed_mm_s"])
             case "gripper.open_held":
-                self.may_open(RIGHTS[given["right"]](**given["evidence"]))
+                refuse_opening(RIGHTS[given["right"]](**given["evidence"]), self.measured())
                 return gripper.open_to(given["width_mm"], given["speed_mm_s"])
+            case "gripper.open_step":
+                return self._open_step(given)
             case "gripper.home" | "gripper.acknowledge":
                 if not isinstance(gripper, HomingGripper):
                     raise RefusedError("NO-HOMING", "This gripper is not homed from here.")
@@ -287,6 +303,24 @@ class DriverCommands:
                 gripper.acknowledge()
                 return None
         raise ValueError(f"there is no order {name!r}")
+
+    def _open_step(self, given: Arguments) -> Motion:
+        measured, staged = self.measured(), self.staged
+        if given["evidence"] is not None:
+            refuse_opening(ReleaseEvidence(**given["evidence"]), measured)
+            staged = StagedOpening(self.gripper.status().width_mm, given["force_n"])
+        if staged is None:
+            raise RefusedError("NOT-STAGED", "No opening in stages is in progress.")
+        if not 0 <= measured.wrench_age_s <= OLD_S:
+            raise RefusedError("RIG-WRENCH-OLD", "The rig has no fresh wrench.")
+        staged.take_step(given["width_mm"], self.now_s(), measured.moved_mm)
+        self.staged = staged
+        return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+
+    def stop_gripper(self) -> None:
+        """Stop the jaws and keep the grip; close loosened jaws."""
+        staged, self.staged = self.staged, None
+        self.closing = stop_jaws(self.gripper, staged, self.closing)
 
 
 def _refuse_fast(name: str, speed: float, most: float) -> None:

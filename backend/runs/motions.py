@@ -16,16 +16,9 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 
 from touchdown.backend import core
-from touchdown.backend.devices import (
-    STATIONARY_MM,
-    VOID_PRESS,
-    PressCommand,
-    ReleaseEvidence,
-    recent_positions_mm,
-    travelled_mm,
-)
+from touchdown.backend.devices import VOID_PRESS, PressCommand
 from touchdown.backend.geometry import Outline, overlap_polygon, rings_of
-from touchdown.backend.runs.bench import Bench, JudgedProbe
+from touchdown.backend.runs.bench import Bench
 from touchdown.backend.runs.plan import (
     CancelledError,
     PausePoint,
@@ -37,7 +30,6 @@ from touchdown.backend.runs.plan import (
     stopped_message,
 )
 from touchdown.backend.runs.recorder import DISK_FULL, refused_episode_fault
-from touchdown.backend.sensing import slip_since_loading
 
 
 def descent_start(bench: Bench, at_mm: tuple[float, float]) -> core.Pose:
@@ -83,7 +75,6 @@ UNLEASED = ("NO-LEASE", "LEASE-LAPSED")  # codes of a lapsed motion lease
 WRENCH_AGE_LIMIT_S = 0.015
 FRESH_S = 0.5  # time limit for a fresh wrench sample
 WRITE_S = 60.0  # time limit of an episode write
-REST_S = 1.0  # time limit for the arm to come to rest
 NO_PIECE = (
     "The gripper closed on nothing: no piece is between the jaws. Open them and hold one between "
     "them, or set a new simulated scene (Ctrl+N in Operate)."
@@ -233,51 +224,6 @@ def shift_piece(bench: Bench, step_mm: tuple[float, float], probe: int) -> Plan[
     yield from move_to(bench, there, "the arm to shift")
 
 
-def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[None]:
-    """Unload, settle, check slip again, open slowly, rise.
-
-    Raises ``RefusedError`` if a release condition of the interlock does not hold.
-    """
-    settings = bench.settings.release
-    probe = judged.pressed.probe
-    yield core.PhaseEntered(bench.now_s(), "unload", probe)
-    width_mm = bench.gripper.status().width_mm
-    unload = bench.arm.unload(settings.unload_n, bench.settings.probe.approach_mm_s)
-    yield from motion_done(unload, MOVE_S, "the arm to unload")
-    yield from wait(bench, settings.settle_s)
-    yield from wait_at_rest(bench)
-    yield core.PhaseEntered(bench.now_s(), "release", probe)
-    yield from wait_fresh_wrench(bench)
-    evidence = release_evidence(bench, judged, width_mm, approved=approved)
-    yield from open_and_rise(bench, probe, evidence, width_mm)
-
-
-def open_and_rise(
-    bench: Bench, probe: int, evidence: ReleaseEvidence, width_mm: float
-) -> Plan[None]:
-    """Open slowly until both fingers are clear, then rise."""
-    settings = bench.settings.release
-    open_mm = width_mm + 2.0 * settings.clearance_mm
-    opening = bench.gripper.release(evidence, open_mm, settings.open_mm_s)
-    yield from motion_done(opening, MOVE_S, "the gripper to open")
-    yield from wait(bench, 0.5)
-    yield core.PhaseEntered(bench.now_s(), "rise", probe)
-    here = bench.arm.pose(max_age_s=0.2)
-    up = core.Pose(here.x_mm, here.y_mm, here.z_mm + settings.rise_mm)
-    yield from move_to(bench, up, "the arm to rise")
-
-
-def wait_at_rest(bench: Bench) -> Plan[None]:
-    """Wait until the arm is at rest by its poses, ``REST_S`` at most."""
-    until_s = bench.now_s() + REST_S
-
-    def stands() -> bool:
-        places_mm = recent_positions_mm(bench.arm.poses, bench.now_s())
-        return travelled_mm(places_mm) <= STATIONARY_MM or bench.now_s() >= until_s
-
-    yield Wait(stands, 2.0 * REST_S, "the arm to stand still")
-
-
 def wait_fresh_wrench(bench: Bench) -> Plan[None]:
     """Wait for the next wrench sample if the newest is too old, ``FRESH_S`` at most."""
     until_s = bench.now_s() + FRESH_S
@@ -320,38 +266,6 @@ def wait_until_durable(bench: Bench) -> Plan[Path | None]:
             yield PausePoint(refused_episode_fault(refused.fault))
         except (CancelledError, StoppedError):
             raise refused from None
-
-
-def release_evidence(
-    bench: Bench, judged: JudgedProbe, width_mm: float, *, approved: bool
-) -> ReleaseEvidence:
-    """Read the sensors again and return the release conditions."""
-    now_s = bench.now_s()
-    status = bench.gripper.status()
-    window = bench.sensing.wrench.window(now_s - 0.1, now_s)
-    sampled = len(window.t_s) > 0
-    press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
-    places_mm = recent_positions_mm(bench.arm.poses, now_s)
-    recording, onset_s = judged.pressed.episode.recording, judged.pressed.episode.onset_s
-    slip_mm = math.nan
-    if recording is not None and len(places_mm):
-        slip_mm = slip_since_loading(recording, onset_s, float(places_mm[-1, 2]), press_n)
-    return ReleaseEvidence(
-        verdict_stable=judged.stability.stable,
-        verdict_of_last_probe=bench.sensing.tare_s < judged.at_s,
-        verdict_age_s=now_s - judged.at_s,
-        margin_mm=judged.stability.margin_mm,
-        required_margin_mm=bench.settings.required_margin_mm,
-        quality_accepted=judged.pressed.episode.quality.accepted,
-        slip_mm=slip_mm,
-        press_n=press_n,
-        wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,
-        wrench_age_limit_s=bench.wrench_late_s + WRENCH_AGE_LIMIT_S,
-        moved_mm=travelled_mm(places_mm),
-        width_change_mm=status.width_mm - width_mm,
-        holding=status.holding,
-        approved=approved,
-    )
 
 
 VOID_TRIES = 3  # presses in all while each is void

@@ -56,6 +56,9 @@ def _check_request(request: Any, **choices: Any) -> None:
         raise InputError(f"The origin is {request.origin_mm}.", "--origin", fix)
 
 
+STAGES = 38  # steps of 0.1 mm: after 33, the pads of 10 N are free
+
+
 @dataclass(frozen=True, slots=True)
 class SceneChoice:
     """Scene of a bench: ``piece`` above ``bottoms`` (bottom-up; the last one is touched).
@@ -106,6 +109,8 @@ class StackRequest:
     weigh : bool, default: False
         Weigh the piece in six poses before the first probe, and judge by the measured centre of
         mass. Needed for a piece whose centre of mass is unknown; refused below 100 g.
+    staged : bool, default: False
+        Open the jaws in held steps, and close them again if the piece begins to turn.
 
     Examples
     --------
@@ -124,9 +129,13 @@ class StackRequest:
     model: str | None = None
     origin_mm: tuple[float, float] = (0.0, 0.0)
     weigh: bool = False
+    staged: bool = False
 
     def __post_init__(self) -> None:
         _check_request(self, strategy=StrategyChoice, mode=DecisionMode)
+        if self.staged and self.strategy == "pick-and-place":
+            fix = "Choose another strategy, or release at once."
+            raise InputError("Pick-and-place releases at once.", "staged", fix)
         if isinstance(self.bottoms, str):
             fix = f"Give a tuple of names, such as ('{self.bottoms}',)."
             raise InputError("The bottoms are a single text.", "bottoms", fix)
@@ -150,6 +159,8 @@ class StackRequest:
         """Return ``base`` with the settings of this run."""
         strategy = "fused" if self.learned else self.strategy
         given = {"strategy": strategy, "mode": self.mode, "weigh": self.weigh or base.weigh}
+        if self.staged and not base.release.stages:
+            given["release"] = base.release.model_copy(update={"stages": STAGES})
         for group, values in LEARNED.get(self.strategy, {}).items():
             given[group] = getattr(base, group).model_copy(update=values)
         return base.model_copy(update=given)

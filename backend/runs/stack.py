@@ -23,6 +23,7 @@ from touchdown.backend.learning.fused import (
 )
 from touchdown.backend.placement import (
     GraspedPiece,
+    GraspStrategy,
     ProbeObservation,
     SearchingStrategy,
     Strategy,
@@ -37,6 +38,7 @@ from touchdown.backend.runs.outcome import TrialResult, judge_release, trial_fin
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait, motion_done
 from touchdown.backend.runs.probe import probe_until_accepted
 from touchdown.backend.runs.recorder import wait_for_space
+from touchdown.backend.runs.release import open_and_rise, release_piece
 from touchdown.backend.runs.requests import StackRequest, request_record
 
 
@@ -78,7 +80,7 @@ def pick_and_place(bench: Bench) -> Plan[TrialResult]:
         holding=status.holding,
         approved=True,
     )
-    yield from motions.open_and_rise(bench, 1, evidence, status.width_mm)
+    yield from open_and_rise(bench, 1, evidence, status.width_mm)
     return (yield from judge_release(bench, 1))
 
 
@@ -86,6 +88,8 @@ DECLINED = "The operator declined the next move."
 PATIENCE_S = 600.0  # a run that was to need no operator waits this long for one
 NOBODY = "No operator is present: the piece stays in the gripper."
 UNANSWERED = f"No answer within {PATIENCE_S / 60:.0f} min: the piece stays in the gripper."
+MOST_TURNS = 2
+TURNED = "The piece began to turn again while the jaws opened: giving up, it stays in the gripper."
 REFUSED = "The operator answered no: giving up, the piece stays in the gripper."
 
 
@@ -95,7 +99,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
     here = bench.arm.pose(max_age_s=0.2)
     strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
     approved, counted = False, False
-    probe = 0
+    probe = turns = 0
     while True:
         yield PausePoint()
         yield from wait_for_space(bench.store.obstacle)
@@ -118,7 +122,15 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
         held_s = judged.at_s - pressed.ended_s
         late = held_s > bench.settings.probe.verdict_wait_s
         if action.kind == "release" and not late and (approved or not _asks(bench, action)):
-            return (yield from _let_go(bench, judged, approved=True))
+            ended = yield from _let_go(bench, judged, approved=True)
+            if ended is not None:
+                return ended
+            if isinstance(strategy, GraspStrategy):
+                strategy.regrasped(bench.settings.release.regrasp_sigma_mm)
+            turns += 1
+            if turns == MOST_TURNS:
+                return TrialResult(core.Outcome.GAVE_UP, TURNED, probe)
+            continue
         yield from motions.lift(bench, probe)
         yield from _recorded(bench, pressed)
         if late:
@@ -164,9 +176,13 @@ def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[Judg
     return JudgedProbe(pressed, stability, action, now_s)
 
 
-def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult]:
+def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialResult | None]:
+    """Release; return None, with the arm lifted, if the piece began to turn and is held again."""
     probe = judged.pressed.probe
-    yield from motions.release_piece(bench, judged, approved=approved)
+    if not (yield from release_piece(bench, judged, approved=approved)):
+        yield from motions.lift(bench, probe)
+        yield from _recorded(bench, judged.pressed)
+        return None
     # Publish the outcome first: a refused write of the episode must not hide it.
     ending = yield from judge_release(bench, probe)
     try:

@@ -17,6 +17,7 @@ from .scene_camera import calibrate_scene_camera as calibrate_scene_camera
 from .scene_camera import locate_camera as locate_camera
 from .scene_camera import observe_offset as observe_offset
 from .slip import TorsionSlipDetector as TorsionSlipDetector
+from .slip import TurnDetector as TurnDetector
 from .slip import slip_since_loading as slip_since_loading
 from .tracker import GelRest as GelRest
 from .tracker import MarkerTracker as MarkerTracker

@@ -28,6 +28,7 @@ from touchdown.backend.core import (
     MarkerField,
     MarkerState,
     Recording,
+    SampleStream,
     Stream,
 )
 
@@ -153,12 +154,10 @@ class TorsionSlipDetector:
         return self.turned_rad > 0.0
 
     def _note(self, finger: Finger, field: MarkerField) -> None:
-        visible = field.state == MarkerState.SEEN
-        moved_px = field.displacement_px[visible]
-        if not len(moved_px) or not np.isfinite(moved_px).all():
+        motion = _marker_motion(field)
+        if motion is None:
             return
-        turn_rad = fit_rigid(field.position_px[visible] - moved_px, moved_px).turn_rad
-        recent = self._recent[finger]
+        turn_rad, recent = motion.turn_rad, self._recent[finger]
         recent.append((field.t_s, turn_rad))
         # At least two fields are compared, also if they are further apart.
         while len(recent) > 2 and recent[0][0] < field.t_s - TURN_WINDOW_S:
@@ -198,3 +197,96 @@ def slip_since_loading(
     if not slope < 0:
         return float("nan")
     return float(abs(height_mm - (press_n - intercept) / slope))
+
+
+FIRST_FRAMES = 3  # frames after a step of the jaws that later ones are compared with
+LEAST_REST_FRAMES = 15
+FREE_STEPS = 5  # the last steps of an opening in stages, in which the pads are free
+# Random walks of a whole marker field (px) and of the wrist (N, N·m) in a second: docs/bench-v1.md
+FIELD_WALK_PX, FORCE_WALK_N, MOMENT_WALK_NM = 0.02, 0.0013, 0.00006
+FIELD_PX, TURN_RAD = 0.015, 2e-4  # errors of the tracker that do not average out
+
+
+class TurnDetector:
+    """Detects a standing piece that turns while the jaws open in held steps.
+
+    Signals are shift and rotation of the markers of both fingers, and the wrench. Within a hold the
+    mean of all frames is compared with the first ones. Once the pads are free of a piece that
+    stands, nothing changes any more: a piece that leans on a finger follows it, so that the last
+    hold differs from an earlier one, and it loads the hand. Scores are in standard deviations:
+    those measured at rest, and the known random walks of the sensors.
+    """
+
+    def __init__(self, fields: Mapping[Finger, Stream[MarkerField]], wrench: SampleStream) -> None:
+        self._fields, self._wrench = fields, wrench
+        self._sd: FloatArray | None = None
+        self._holds: list[FloatArray] = []  # signals of each hold
+
+    def learn(self, start_s: float, end_s: float) -> bool:
+        """Measure the noise at rest between two bench times; False with too few frames."""
+        rows = self._signals(start_s, end_s)
+        if len(rows) < LEAST_REST_FRAMES:
+            return False
+        self._sd = rows[:, 1:].std(axis=0, ddof=1)
+        return bool((self._sd > 0.0).all())
+
+    def hold(self, since_s: float, now_s: float) -> float:
+        """Return the change since the jaws stood still at ``since_s``; 0 with too few frames."""
+        rows = self._signals(since_s, now_s)
+        return self._change(rows[:FIRST_FRAMES], rows[FIRST_FRAMES:])
+
+    def keep(self, since_s: float, now_s: float) -> None:
+        """Keep the signals of the hold that ends now, for ``growth``."""
+        self._holds.append(self._signals(since_s, now_s))
+
+    def growth(self) -> float:
+        """Return the change from an earlier hold, with free pads, to the last one kept."""
+        if len(self._holds) <= FREE_STEPS:
+            return 0.0
+        return self._change(self._holds[-1 - FREE_STEPS], self._holds[-1])
+
+    def load(self) -> FloatArray:
+        """Return the mean wrench (6,) of the last hold kept; NaN without samples."""
+        rows = self._holds[-1] if self._holds else np.empty((0, 13))
+        return np.asarray(rows[:, 7:].mean(axis=0)) if len(rows) else np.full(6, np.nan)
+
+    def _change(self, before: FloatArray, after: FloatArray) -> float:
+        if self._sd is None or not len(before) or not len(after):
+            return 0.0
+        change = after[:, 1:].mean(axis=0) - before[:, 1:].mean(axis=0)
+        # Means over times t of a random walk differ by the time between their middles, less a sixth
+        # of both times.
+        apart_s = after[:, 0].mean() - before[:, 0].mean()
+        apart_s -= (np.ptp(after[:, 0]) + np.ptp(before[:, 0])) / 6.0
+        walk = np.repeat([FIELD_WALK_PX, 0.0, FORCE_WALK_N, MOMENT_WALK_NM], (4, 2, 3, 3))
+        fixed = np.repeat([FIELD_PX, TURN_RAD, 0.0], (4, 2, 6))
+        variance = (1.0 / len(after) + 1.0 / len(before)) * self._sd**2 + fixed**2
+        variance = variance + max(apart_s, 0.0) * walk**2
+        return math.sqrt(float((change**2 / variance).sum()))
+
+    def _signals(self, start_s: float, end_s: float) -> FloatArray:
+        """Return (n, 13): time of a frame, shifts (u, v of both fingers, px), turns (rad), wrench.
+
+        The wrench is the mean since the frame before. Frames without visible markers are left out.
+        """
+        moved = ([(f.t_s, _marker_motion(f)) for f in self._fields[finger].between(start_s, end_s)]
+                 for finger in FINGERS)  # fmt: skip
+        left, right = ([(t_s, one) for t_s, one in rows if one is not None] for rows in moved)
+        samples = self._wrench.window(start_s, end_s)
+        ends = np.searchsorted(samples.t_s, [t_s for t_s, _ in left], side="right")
+        rows, begin = [], 0
+        for (t_s, one), (_, other), end in zip(left, right, ends.tolist(), strict=False):
+            felt = samples.values[begin:end]
+            felt, begin = felt[np.isfinite(felt).all(axis=1)], end
+            if len(felt):
+                turns = one.turn_rad, other.turn_rad
+                rows.append([t_s, *one.shift_px, *other.shift_px, *turns, *felt.mean(axis=0)])
+        return np.array(rows, dtype=np.float64).reshape(-1, 13)
+
+
+def _marker_motion(field: MarkerField) -> RigidMotion | None:
+    seen = field.state == MarkerState.SEEN
+    moved_px = field.displacement_px[seen]
+    if not len(moved_px) or not np.isfinite(moved_px).all():
+        return None
+    return fit_rigid(field.position_px[seen] - moved_px, moved_px)

@@ -25,7 +25,8 @@ CLOSING_TIME_S = 0.5  # time to reach the piece from the open position
 SQUEEZE_TIME_S = 0.1  # time from touching the piece to full force
 WEIGH_CYCLE_US = 1_000_000
 POSE_CYCLES = 6  # from one pose of a weighing to the next, as long as the simulated arm needs
-LET_GO_MM = 0.1  # the piece is released when the jaws are wider than it by this much
+LET_GO_MM = 0.1  # jaws that open at once release the piece when wider than it by this much
+STEP_MM = 0.2  # jaws that open by less in one command loosen the grip
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +38,16 @@ class JawEvents:
 
 
 class SimulatedJaws:
-    """Jaws stepped in cycles; ``halt`` from any thread. Widths in mm, force per finger in N."""
+    """Jaws stepped in cycles; ``halt`` from any thread. Widths in mm, force per finger in N.
+
+    ``squeezed_mm``: how much both pads together are squeezed by the grip. Jaws that open in steps
+    are ``loosened``: a finger may still touch the piece, which is not held any more.
+    """
 
     def __init__(self, open_mm: float, piece_mm: float) -> None:
         self.width_mm, self.force_n, self.holding = open_mm, 0.0, False
-        self.piece_present = True
+        self.piece_present, self.loosened = True, False
+        self.squeezed_mm, self._grip_n = LET_GO_MM, 0.0
         self._piece_mm = piece_mm
         self.asked_n = 0.0
         self._target_mm: float | None = None
@@ -69,11 +75,14 @@ class SimulatedJaws:
             self._target_mm = max(width_mm, least)
             self._speed_mm_s = math.copysign(speed_mm_s, self._target_mm - self.width_mm)
             self.asked_n = 0.0
+            gripped = self.holding or self.loosened
+            self.loosened = gripped and 0.0 < self._target_mm - self.width_mm <= STEP_MM
+            self.holding = gripped and not self.loosened
 
     def lose(self) -> None:
         """Lose the piece for good in the next step."""
         with self._lock:
-            self.piece_present, self._slips_out = False, self.holding
+            self.piece_present, self._slips_out = False, self.holding or self.loosened
 
     def halt(self) -> None:
         """Stop; the grip is kept."""
@@ -84,7 +93,7 @@ class SimulatedJaws:
         """Move for ``dt_s``."""
         with self._lock:
             if self._slips_out:
-                self._slips_out = self.holding = False
+                self._slips_out = self.holding = self.loosened = False
                 self._target_mm, self.force_n = None, 0.0
                 return JawEvents(let_go=True)
             target = self._target_mm
@@ -106,12 +115,16 @@ class SimulatedJaws:
         self.force_n = min(self.force_n + self.asked_n * dt_s / SQUEEZE_TIME_S, self.asked_n)
         if self.force_n < self.asked_n:
             return JawEvents()
-        self._target_mm = None
-        taken, self.holding = not self.holding, True
+        self._target_mm, self._grip_n = None, self.force_n
+        taken, self.holding, self.loosened = not self.holding, True, False
         return JawEvents(taken=taken)
 
     def _loosen(self) -> JawEvents:
-        if self.width_mm <= self._piece_mm + LET_GO_MM:
+        opened_mm = self.width_mm - self._piece_mm
+        if self.loosened:
+            self.force_n = self._grip_n * max(1.0 - max(opened_mm, 0.0) / self.squeezed_mm, 0.0)
+            return JawEvents()
+        if opened_mm <= LET_GO_MM:
             return JawEvents()
         let_go, self.holding, self.force_n = self.holding, False, 0.0
         return JawEvents(let_go=let_go)

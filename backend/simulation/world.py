@@ -22,6 +22,7 @@ from touchdown.backend.simulation import arm, finger_camera, ground_truth
 from touchdown.backend.simulation.gripper import HeldPiece, SimulatedJaws, start_command_mm
 from touchdown.backend.simulation.ground_truth import Scene, SceneTruth
 from touchdown.backend.simulation.marker_fields import Gel, gel_from_settings
+from touchdown.backend.simulation.opening import CATCH_RAD, LooseGrip, standing_piece
 from touchdown.backend.simulation.pressing import TIMELINE_VALUES
 from touchdown.backend.simulation.wrist_sensor import WristLoad, WristSampler, cable_wrench
 
@@ -73,6 +74,7 @@ class World:
         self._cable_from_mm = self.drive.command_mm.copy()
         self._cameras = _cameras(scene, seeds.tolist())
         self.holding: HeldPiece | None = None  # the present grip
+        self._loose: LooseGrip | None = None  # the present grip while the jaws open in steps
         self._bottoms = scene.bottoms
         self._grips = 0
         self._rest = np.zeros(TIMELINE_VALUES)
@@ -164,7 +166,10 @@ class World:
         holding = self.holding
         if holding is not None and (turn_rad := self._script.turn_rad(start_s, end_us * 1e-6)):
             holding.turn(turn_rad)
-        self._values = self._rest if holding is None else holding.solve(command, dt_s)
+        if holding is not None and self.jaws.loosened:
+            self._values = self._loosened(holding, command, dt_s)
+        else:
+            self._values = self._rest if holding is None else holding.solve(command, dt_s)
         self._watch_dragging(command)
         self._field_px = self._field(self._values)
         return command
@@ -195,7 +200,7 @@ class World:
     def set_up_again(self) -> None:
         """Restore the start state except for the hand: bottoms in place, piece not held."""
         self._bottoms, self.knocked_over = self.scene.bottoms, False
-        self._put_down = self._final = None
+        self._put_down = self._final = self._loose = None
         self.jaws.piece_present = True
 
     # -- inside -----------------------------------------------------------------------------------
@@ -216,10 +221,28 @@ class World:
         change = self.jaws.step(dt_s)
         if change.taken:
             self.holding = HeldPiece(self.scene, self._grips, self.jaws.force_n, self._bottoms)
-            self._grips += 1
+            normal_n_mm = float(self.holding.conditions.normal_n_mm[0])
+            self.jaws.squeezed_mm = 2.0 * self.jaws.force_n / normal_n_mm
+            self._grips, self._loose = self._grips + 1, None
         elif change.let_go and self.holding is not None:
             self._bottoms = self.holding.bottoms
             self._release(self.holding, command)
+
+    def _loosened(self, holding: HeldPiece, command: FloatArray, dt_s: float) -> FloatArray:
+        """Return the values (14,) while the jaws open in steps; in air the piece stays as it is."""
+        if self._loose is None:
+            if holding.press_n <= 0.0:
+                return holding.solve(command, dt_s)
+            self._bottoms = holding.bottoms
+            kick = ground_truth.release_kick_mm(self.scene, self._grips)
+            place = holding.offset_mm(command), holding.gripping.yaw_rad
+            piece = standing_piece(self._scene_now(), *place, kick)
+            self._loose = LooseGrip(piece, holding.conditions, self._values, holding.weight_g)
+        values = self._loose.advance(self.jaws.width_mm - self.scene.piece.width_mm, dt_s)
+        if self._loose.turned_rad < CATCH_RAD:
+            return values
+        self.jaws.lose()
+        return self._values
 
     def _release(self, holding: HeldPiece, command: FloatArray) -> None:
         if self.scene.jig and np.abs(command - start_command_mm(self.scene)).max() <= JIG_MM:
@@ -229,7 +252,8 @@ class World:
         kick = ground_truth.release_kick_mm(self.scene, self._grips)
         margin = ground_truth.true_margin_mm(self._scene_now(), offset, yaw, kick)
         dropped = not holding.gap_mm(command) <= ground_truth.MAX_RELEASE_GAP_MM
-        stands = margin > 0.0 and not dropped and not self.knocked_over
+        fell = self._loose is not None and self._loose.turned_rad >= CATCH_RAD
+        stands = margin > 0.0 and not (dropped or fell or self.knocked_over)
         self._put_down = (offset, yaw)
         self._final = SceneTruth(
             offset, yaw, margin, stands, None, holding.slip_mm, self.knocked_over,

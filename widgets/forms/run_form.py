@@ -41,7 +41,7 @@ class RunForm:
     """Settings of a run. ``under``: body below the bottom, "" for none.
 
     ``origin_x_mm``, ``origin_y_mm``: centre of the bottom in arm coordinates, for real devices.
-    ``weigh``: measure the centre of mass first.
+    ``weigh``: measure the centre of mass first. ``staged``: open the jaws in held steps.
     """
 
     piece: str = "pot"
@@ -52,6 +52,7 @@ class RunForm:
     strategy: str = "paper"
     mode: str = "auto"
     weigh: bool = False
+    staged: bool = False
     origin_x_mm: float = 0.0
     origin_y_mm: float = 0.0
 
@@ -81,10 +82,11 @@ class RunPanel(base.Panel):
         self._origin = decimal_box(-300.0, 300.0), decimal_box(-300.0, 300.0)
         self._strategy, self._mode = QComboBox(), QComboBox()
         self._weigh = QCheckBox(base.tr("Weigh first"))
+        self._staged = QCheckBox(base.tr("Open in stages"))
         self._fields = FormFields(
             12, 6, piece=self._piece, bottom=self._bottom, under=self._under, seed=self._seed,
             trials=self._trials, strategy=self._strategy, mode=self._mode, weigh=self._weigh,
-            origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
+            staged=self._staged, origin_x_mm=self._origin[0], origin_y_mm=self._origin[1],
         )  # fmt: skip
         self._model = base.ElidedLabel("small")
         self._certificate = base.label("", "small", wrap=True)
@@ -126,8 +128,10 @@ class RunPanel(base.Panel):
         )
         tip = ("Measure the centre of mass of the held piece in six poses, and judge by it; "
                "for pieces of 100 g or more")  # fmt: skip
-        base.describe((self._weigh, "Weigh first", tip))
-        fields.addWidget(self._weigh, 7, 1, 1, 3)
+        stages = ("Release in held steps of 0.1 mm, about 40 s, and close the jaws if the piece "
+                  "begins to turn; useful for heavy pieces")  # fmt: skip
+        base.describe((self._staged, "Open in stages", stages), (self._weigh, "Weigh first", tip))
+        fields.addLayout(base.hbox((self._staged, 1), (self._weigh, 1)), 7, 1, 1, 3)
         x, y = self._origin
         self._origin_words = fields.add_halves(8, ("Origin x", x, ""), ("y", y, "", "Origin y"))
         self.show_devices(False)

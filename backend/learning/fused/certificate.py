@@ -89,6 +89,9 @@ def method_sha256(method: config.StackSettings) -> str:
     content = method.model_dump(mode="json", include={"probe", "policy", "fused", "release"})
     for name in ("weights", "risk"):
         del content["fused"][name]
+    if not method.release.stages:  # the others have no effect then
+        for name in ("stages", "stage_mm", "turn_sigmas", "lean_sigmas", "regrasp_sigma_mm"):
+            del content["release"][name]
     return config.sha256_of_json(content)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from touchdown.backend.core import Pose, RefusedError
 from touchdown.backend.devices.guarded_devices import GuardedArm
-from touchdown.backend.devices.interlock import LEASE_S, Interlock, Limits
+from touchdown.backend.devices.interlock import LEASE_S, Interlock, Limits, StagedOpening
 from touchdown.backend.devices.jog import Jog, JogOrder, JogSurroundings, direction_of
 from touchdown.backend.devices.protocols import ArmStatus, PressCommand, RobotMode, SafetyMode
 
@@ -210,3 +210,13 @@ def test_a_jog_that_ended_tells_the_time_in_milliseconds() -> None:
     assert [cause.reason for cause in told] == ["JOG-LEASE"]
     assert "renewed it for 312 ms" in told[0].detail
     assert "late as well, by 312 ms" in told[0].detail
+
+
+def test_the_arm_stands_still_while_the_jaws_open_in_stages():
+    guard = Guard()
+    guard.interlock.staged = StagedOpening(30.0, 8.0)
+    assert guard.refusal("move_to", replace(HERE, z_mm=100.0), 20.0) == "JAWS-LOOSE"
+    assert guard.refusal("jog", (0.0, 0.0, 5.0), 0.1) == "JAWS-LOOSE"
+    assert guard.refusal("press", PRESS) == "JAWS-LOOSE"
+    guard.interlock.staged = None
+    assert guard.refusal("move_to", replace(HERE, z_mm=100.0), 20.0) is None

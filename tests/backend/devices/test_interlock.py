@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchdown.backend.core import Fault, Pose, RefusedError, SampleStream
+from touchdown.backend.devices.guarded_devices import GuardedGripper
 from touchdown.backend.devices.interlock import (
     LEASE_S,
     VERDICT_ROWS,
@@ -26,6 +27,7 @@ from touchdown.backend.devices.interlock import (
     release_refusal,
     travelled_mm,
 )
+from touchdown.backend.devices.protocols import CommandedMotion, GripStatus
 
 
 def told(*rows):
@@ -53,6 +55,7 @@ def test_the_last_two_places_at_least_tell_how_far_an_arm_moved(rows, travel_mm)
     assert found == pytest.approx(travel_mm, nan_ok=True)
 
 
+FAULT = Fault("FT-STALE", "It is silent.", "Motion stopped.", "Look at it.", "force_torque")
 GOOD = ReleaseEvidence(
     verdict_stable=True,
     verdict_of_last_probe=True,
@@ -331,3 +334,125 @@ def test_each_condition_over_the_jig_refuses_alone(name, change) -> None:
     refusal = jig_refusal(replace(PUTTING_BACK_GOOD, **change))
     assert refusal is not None
     assert refusal[0] == name
+
+
+class NotedGripper:
+    """Notes its orders; ``fails``: it refuses to grip."""
+
+    name, fails = "gripper", False
+
+    def __init__(self):
+        self.orders, self.width_mm = [], 30.0
+
+    def status(self):
+        return GripStatus(self.width_mm, 10.0, not self.orders)
+
+    def open_to(self, width_mm, speed_mm_s):
+        self.orders.append(("open", width_mm))
+        return CommandedMotion({})
+
+    def grip(self, force_n):
+        if self.fails:
+            raise RefusedError("NO", "no")
+        self.orders.append(("grip", force_n))
+        self.motion = CommandedMotion({})
+        return self.motion
+
+    def stop(self):
+        self.orders.append(("stop",))
+
+
+class Staged:
+    """A guarded gripper that opens in stages, at ``now_s`` with a live lease."""
+
+    def __init__(self):
+        self.noted, self.lock, self.now_s = NotedGripper(), Interlock(), 1.0
+        self.gripper = GuardedGripper(self.noted, self.lock, lambda: self.now_s)
+
+    def step(self, width_mm, evidence=None, moved_mm=0.0):
+        self.lock.renew_lease(self.now_s)
+        return self.gripper.open_step(evidence, width_mm, 5.0, force_n=8.0, moved_mm=moved_mm)
+
+    def refusal(self, *given, **more):
+        with pytest.raises(RefusedError) as caught:
+            self.step(*given, **more)
+        return caught.value.reason
+
+
+def test_an_opening_in_stages_begins_with_the_conditions_of_a_release():
+    jaws = Staged()
+    assert jaws.refusal(30.1) == "NOT-STAGED"
+    assert jaws.refusal(30.1, replace(GOOD, holding=False)) == "NOT-HOLDING"
+    assert jaws.refusal(30.1, replace(GOOD, verdict_stable=False)) == "VERDICT-NOT-STABLE"
+    assert (jaws.noted.orders, jaws.lock.staged) == ([], None)
+    jaws.step(30.1, GOOD)
+    assert jaws.noted.orders == [("open", 30.1)]
+    assert jaws.gripper.letting_go
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "after_s", "moved_mm", "why"),
+    [
+        (30.26, 1.0, 0.0, "STAGE-STEP"),
+        (30.1, 1.0, 0.0, "STAGE-STEP"),
+        (math.nan, 1.0, 0.0, "STAGE-STEP"),
+        (30.2, 0.9, 0.0, "STAGE-EARLY"),
+        (30.2, 1.0, 0.06, "ARM-MOVING"),
+        (30.2, 1.0, math.nan, "ARM-MOVING"),
+    ],
+)
+def test_a_step_is_small_and_held_and_the_arm_stands(width_mm, after_s, moved_mm, why):
+    jaws = Staged()
+    jaws.step(30.1, GOOD)
+    jaws.now_s += after_s
+    assert jaws.refusal(width_mm, moved_mm=moved_mm) == why
+    jaws.now_s += 0.1
+    jaws.step(30.2)
+    assert jaws.noted.orders == [("open", 30.1), ("open", 30.2)]
+
+
+def test_an_opening_in_stages_ends_after_a_few_millimetres():
+    jaws = Staged()
+    jaws.step(30.1, GOOD)
+    for step in range(2, 41):
+        jaws.now_s += 1.0
+        jaws.step(30.0 + 0.1 * step)
+    jaws.now_s += 1.0
+    assert jaws.refusal(34.1) == "STAGE-WIDTH"
+
+
+def test_stop_and_faults_close_loosened_jaws_and_only_these():
+    jaws = Staged()
+    jaws.lock.stop()
+    assert jaws.noted.orders == [("stop",)]
+    for end in (lambda lock: lock.stop(), lambda lock: lock.raise_fault(FAULT)):
+        jaws = Staged()
+        jaws.step(30.1, GOOD)
+        grips = jaws.gripper.grips
+        end(jaws.lock)
+        assert jaws.noted.orders == [("open", 30.1), ("grip", 8.0)]
+        assert (jaws.gripper.grips, jaws.gripper.letting_go) == (grips + 1, False)
+        # A second stop does not interrupt the closing; after it, it stops the gripper.
+        jaws.lock.stop()
+        assert jaws.noted.orders[2:] == []
+        jaws.noted.motion.end()
+        jaws.lock.stop()
+        assert jaws.noted.orders[2:] == [("stop",)]
+        jaws.lock.reset()
+        jaws.now_s += 1.0
+        assert jaws.refusal(30.2) == "NOT-STAGED"
+    jaws = Staged()
+    jaws.step(30.1, GOOD)
+    jaws.noted.fails = True
+    jaws.lock.stop()
+    assert jaws.noted.orders == [("open", 30.1), ("stop",)]
+
+
+def test_a_grip_or_an_opening_at_once_ends_the_stages():
+    for end in (lambda g: g.grip(8.0), lambda g: g.open_to(60.0, 5.0)):
+        jaws = Staged()
+        jaws.step(30.1, GOOD)
+        end(jaws.gripper)
+        assert jaws.lock.staged is None
+        jaws.lock.stop()
+        assert jaws.noted.orders[-1] == ("stop",)

@@ -38,6 +38,10 @@ class HeldPiece(ScriptedDevice):
         self._log.append(f"open to {width_mm}")
         return CommandedMotion({"width_mm": width_mm})
 
+    def grip(self, force_n):
+        self._log.append(f"grip {force_n}")
+        return CommandedMotion({"force_n": force_n})
+
 
 class Wrist(ScriptedDevice):
     """Only its stream matters here."""

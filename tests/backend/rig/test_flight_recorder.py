@@ -5,17 +5,19 @@ import math
 import signal
 import subprocess
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.backend.devices.test_interlock import GOOD
 from tests.backend.rig.hosted import reason
 from touchdown.backend.core import FaultError, FaultRaised, RunFinished, RunStarted
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
 from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, ReservedFile
 from touchdown.backend.rig.link import GONE
-from touchdown.backend.rig.memory import drop, make
+from touchdown.backend.rig.memory import STOPS, drop, make
 
 ROOT = Path(__file__).resolve().parents[3]
 RUN = RunStarted(0.0, "run", "pot", "short", "touch", 7, 1, False, "{}")
@@ -292,6 +294,55 @@ def test_a_held_piece_is_let_go_by_a_right_only(rig):
     rig.wrist.state = DeviceState.FAULT
     assert reason(lambda: rig.order("gripper.open_held", **back)) == "RIG-DEVICES"
     assert rig.log == ["open to 50.0"]
+
+
+def stage(rig):
+    """Bring the rig to a first step: the press force is that of an unloaded piece."""
+    rig.arms.contact = lambda pivot: np.array([0.0, 0.0, 8.0 * max(59.5 - pivot[2], 0.0)])
+    rig.rounds(0.3)
+    rig.order(
+        "arm.press", depth_mm=0.5, ramp_s=0.2, hold_s=0.4, approach_mm_s=2.0, threshold_n=1.0,
+        max_travel_mm=3.0, stiffness_n_mm=(30.0, 30.0, 15.0),
+    )  # fmt: skip
+    rig.rounds(2.0, until=lambda: rig.told("ended"))
+    rig.order("arm.unload", force_n=1.0, speed_mm_s=2.0)
+    rig.rounds(2.0, until=lambda: len(rig.told("ended")) == 2)
+    rig.rounds(0.4)
+    return {"evidence": asdict(GOOD), "width_mm": 30.1, "speed_mm_s": 5.0, "force_n": 8.0}
+
+
+def test_the_rig_opens_in_stages_by_its_own_measurements(rig):
+    first = stage(rig)
+    later = {**first, "evidence": None, "width_mm": 30.2}
+    assert reason(lambda: rig.order("gripper.open_step", **later)) == "NOT-STAGED"
+    bad = {**first, "evidence": asdict(replace(GOOD, approved=False))}
+    assert reason(lambda: rig.order("gripper.open_step", **bad)) == "NOT-APPROVED"
+    rig.order("gripper.open_step", **first)
+    assert rig.log == ["open to 30.1"]
+    assert reason(lambda: rig.order("gripper.open_step", **later)) == "STAGE-EARLY"
+    assert reason(rig.lift) == "JAWS-LOOSE"
+    rig.rounds(1.0)
+    rig.order("gripper.open_step", **later)
+    assert rig.log == ["open to 30.1", "open to 30.2"]
+    rig.arms.wires.also = rig.clock.advance
+    rig.rounds(1.02)
+    wider = {**later, "width_mm": 30.3}
+    assert reason(lambda: rig.order("gripper.open_step", **wider)) == "RIG-WRENCH-OLD"
+
+
+@pytest.mark.parametrize("by", ["memory", "message", "gripper", "silence"])
+def test_a_stop_of_the_rig_closes_loosened_jaws(rig, by):
+    rig.order("gripper.open_step", **stage(rig))
+    if by == "memory":
+        rig.memory.beat(STOPS)
+    elif by == "silence":
+        rig.host.abandon()
+    else:
+        kind = {"message": {"kind": "stop", "stops": 1}, "gripper": {"kind": "stop gripper"}}
+        rig.host.take(kind[by])
+    rig.rounds(0.02)
+    rig.host.take({"kind": "stop gripper"})
+    assert rig.log[1:] == ["grip 8.0"]
 
 
 def test_the_width_of_a_grip_is_the_one_at_which_the_jaws_stand(rig):

@@ -57,7 +57,8 @@ from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_
 from touchdown.backend.runs.campaign import Campaign, last_signal_excerpt
 from touchdown.backend.runs.collector import Collector, measure_offset
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_piece
-from touchdown.backend.runs.motions import REFERENCE_S, descent_start, release_evidence
+from touchdown.backend.runs.motions import REFERENCE_S, descent_start
+from touchdown.backend.runs.release import release_evidence
 from touchdown.backend.runs.requests import CalibrateRequest, ProbeRequest, SceneChoice
 from touchdown.backend.runs.touch_probing import BELOW_MM, touch_height_mm
 from touchdown.backend.sensing.live import LiveSensing

@@ -17,6 +17,7 @@ from touchdown.backend.core import (
     FaultError,
     InputError,
     Outcome,
+    PhaseEntered,
     Released,
     RunFinished,
     Said,
@@ -24,9 +25,19 @@ from touchdown.backend.core import (
 )
 from touchdown.backend.experiments.run_report import run_text
 from touchdown.backend.geometry import load_pieces, regions
-from touchdown.backend.learning.fused import Guard, GuardCalibration
-from touchdown.backend.runs import LEARNED, RecordingOptions, StackRequest, messages, probe, stack
+from touchdown.backend.learning.fused import Guard, GuardCalibration, method_sha256
+from touchdown.backend.placement.strategies import PaperStrategy
+from touchdown.backend.runs import (
+    LEARNED,
+    RecordingOptions,
+    StackRequest,
+    messages,
+    probe,
+    release,
+    stack,
+)
 from touchdown.backend.runs.stack import certificate_status, check_pieces
+from touchdown.backend.sensing.slip import TurnDetector
 
 BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
@@ -258,3 +269,103 @@ def test_only_networks_for_any_outline_take_a_ring() -> None:
     for name in ("fused", "fused-wrench"):
         with pytest.raises(InputError, match="fused-any"):
             check_pieces(session, StackRequest(bottoms=("ring",), strategy=name))
+
+
+def staged_bench(monkeypatch, *turns, stages=2):
+    """Return a bench whose releases open in stages; ``turns``: whether each of them turns."""
+    base, given = brisk_method(), iter(turns)
+    release = base.release.model_copy(update={"stages": stages})
+    bench = OracleSession(method=base.model_copy(update={"release": release}), rate_hz=25.0)
+
+    class Told(TurnDetector):
+        def __init__(self, *streams):
+            super().__init__(*streams)
+            self.turns = next(given)
+
+        def hold(self, since_s, now_s):
+            return 99.0 if self.turns and super().hold(since_s, now_s) else 0.0
+
+    monkeypatch.setattr("touchdown.backend.runs.release.TurnDetector", Told)
+    return bench
+
+
+def staged_trial(bench):
+    bench.session.run(request())
+    (end,) = bench.of(TrialFinished)
+    return end, [said.text for said in bench.of(Said) if "turn" in said.text]
+
+
+def test_a_release_in_stages_opens_step_by_step(monkeypatch):
+    bench = staged_bench(monkeypatch, False)
+    end, said = staged_trial(bench)
+    assert (end.outcome, said) == (Outcome.PLACED, [])
+    phases = [(fact.phase, fact.t_s) for fact in bench.of(PhaseEntered)]
+    times = dict(phases)
+    assert times["rise"] - times["release"] > 2.0
+    assert bench.session.interlock.staged is None
+
+
+def test_a_piece_that_turns_is_gripped_again_and_the_run_goes_on(monkeypatch):
+    bench = staged_bench(monkeypatch, True, False)
+    sigmas = []
+    monkeypatch.setattr(PaperStrategy, "regrasped", lambda self, sigma: sigmas.append(sigma))
+    end, said = staged_trial(bench)
+    assert end.outcome is Outcome.PLACED
+    assert said[0].endswith(
+        "the piece begins to turn with the jaws opened by 0.1 mm: closing them."
+    )
+    assert sigmas == [0.3]
+    assert len([fact for fact in bench.of(PhaseEntered) if fact.phase == "release"]) == 2
+
+
+def test_a_piece_that_turns_twice_stays_in_the_gripper(monkeypatch):
+    bench = staged_bench(monkeypatch, True, True)
+    end, said = staged_trial(bench)
+    assert (end.outcome, end.reason) == (Outcome.GAVE_UP, stack.TURNED)
+    assert len(said) == 2
+    assert bench.benches[-1].gripper.status().holding
+
+
+def test_a_piece_that_is_lost_while_the_jaws_close_is_judged_as_released(monkeypatch):
+    bench = staged_bench(monkeypatch, True)
+
+    def lose(event):
+        if isinstance(event, Said) and "closing them" in event.text:
+            bench.benches[-1]._world.jaws.lose()
+
+    bench.session.events.subscribe(lose)
+    end, _ = staged_trial(bench)
+    assert bench.of(Released)
+    assert end.outcome in (Outcome.PLACED, Outcome.FELL)
+    assert not bench.benches[-1].gripper.status().holding
+    assert any("closed on nothing" in said.text for said in bench.of(Said))
+
+
+def test_stop_during_the_stages_closes_the_jaws(monkeypatch):
+    bench = staged_bench(monkeypatch, False)
+    session = bench.session
+
+    monkeypatch.setattr(TurnDetector, "keep", lambda *_: session.stop())
+    result = session.run(request())
+    assert result.ending == "stopped"
+    devices = bench.benches[-1]
+    devices.advance(1_500_000)
+    assert devices.gripper.status().holding
+    assert not bench.of(Released)
+
+
+def test_a_weak_watch_refuses_the_release(monkeypatch):
+    bench = staged_bench(monkeypatch, False, False, False)
+    monkeypatch.setattr(TurnDetector, "learn", lambda *_: False)
+    end, _ = staged_trial(bench)
+    assert (end.outcome, end.reason) == (Outcome.ABORTED, f"{release.UNWATCHED} [NOT-WATCHED]")
+    assert bench.benches[-1].gripper.status().holding
+
+
+def test_the_certificate_covers_stages_only_if_they_were_used():
+    method = StackSettings()
+    other = {"turn_sigmas": 5.0, "regrasp_sigma_mm": 1.0, "stage_mm": 0.05, "lean_sigmas": 3.0}
+    without = method.model_copy(update={"release": method.release.model_copy(update=other)})
+    assert method_sha256(without) == method_sha256(method)
+    on = method.model_copy(update={"release": method.release.model_copy(update={"stages": 30})})
+    assert method_sha256(on) != method_sha256(method)

@@ -9,6 +9,7 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ from touchdown.backend.cli import track
 from touchdown.backend.cli.output import VerbOutput
 from touchdown.backend.config import ProbeSettings, SimulationSettings
 from touchdown.backend.core.faults import InputError
-from touchdown.backend.core.streams import Stream
+from touchdown.backend.core.streams import SampleStream, Stream
 from touchdown.backend.core.values import (
     FINGERS,
     MARKERS,
@@ -49,7 +50,12 @@ from touchdown.backend.sensing.scene_camera import (
     locate_camera,
     observe_offset,
 )
-from touchdown.backend.sensing.slip import TorsionSlipDetector, press_slip_mm, slip_since_loading
+from touchdown.backend.sensing.slip import (
+    TorsionSlipDetector,
+    TurnDetector,
+    press_slip_mm,
+    slip_since_loading,
+)
 from touchdown.backend.sensing.tracker import MarkerTracker
 from touchdown.backend.simulation import conditions as nuisance
 from touchdown.backend.simulation import mechanics
@@ -592,6 +598,76 @@ def gels():
     for _ in range(5):
         assert not made.show(0.0, 0.0)
     return made
+
+
+class Held:
+    """Both fingers and a wrist at rest with noise, for ``TurnDetector``."""
+
+    def __init__(self):
+        self.fields = {finger: Stream[MarkerField](finger, 2048) for finger in FINGERS}
+        self.wrench = SampleStream("wrench", 6, 65536)
+        self.rng, self.now_s, self._count = np.random.default_rng(4), 0.0, 0
+        self.watch = TurnDetector(self.fields, self.wrench)
+
+    def rest(self, frames, turn_rad=0.0, load=(0.0,) * 6, turn_from=0):
+        """Let frames pass; from frame ``turn_from`` on the markers turn and the hand is loaded."""
+        began_s = self.now_s
+        for k in range(frames):
+            on = k >= turn_from
+            angle = turn_rad * on
+            rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            middle = REST_PX.mean(axis=0)
+            moved = (REST_PX - middle) @ rotation.T + middle - REST_PX
+            state = np.full(MARKERS, MarkerState.SEEN, np.uint8)
+            t_s = self.now_s + np.linspace(0.001, PERIOD_S, 20)
+            noise = self.rng.standard_normal((20, 6)) * np.repeat([0.1, 0.004], 3)
+            self.wrench.put(t_s, noise + np.array(load) * on)
+            self.now_s += PERIOD_S
+            for finger in FINGERS:
+                seen = moved + 0.05 * self.rng.standard_normal(moved.shape)
+                at_px = REST_PX + seen
+                field = MarkerField(finger, self._count, self.now_s, at_px, seen, state, 1.0)
+                self.fields[finger].put(self.now_s, field)
+            self._count += 1
+        return began_s, self.now_s
+
+
+def test_a_turn_within_a_hold_stands_out_of_noise_alone():
+    held = Held()
+    assert not held.watch.learn(*held.rest(10))
+    assert held.watch.hold(*held.rest(25)) == 0.0
+    assert held.watch.learn(*held.rest(30))
+    quiet = [held.watch.hold(*held.rest(25)) for _ in range(40)]
+    # A norm of 12 values; their deviations were measured on 30 frames.
+    assert 2.0 < np.median(quiet) < 4.5
+    assert max(quiet) < 8.0
+    assert held.watch.hold(*held.rest(25, 0.02, turn_from=8)) > 10.0
+    assert held.watch.hold(*held.rest(25, load=(0.0, 0.5, 0, 0.0, 0, 0), turn_from=8)) > 10.0
+
+
+def test_a_piece_that_leans_more_from_hold_to_hold_grows():
+    held = Held()
+    held.watch.learn(*held.rest(30))
+    for _ in range(6):
+        assert held.watch.growth() == 0.0
+        held.watch.keep(*held.rest(25))
+    assert held.watch.growth() < 8.0
+    held.watch.keep(*held.rest(25, load=(0.0, 0.1, 0, 0.012, 0, 0)))
+    assert held.watch.growth() > 10.0
+    assert held.watch.load() == pytest.approx([0.0, 0.1, 0, 0.012, 0, 0], abs=0.02)
+    assert np.isnan(TurnDetector(held.fields, held.wrench).load()).all()
+
+
+def test_a_signal_that_is_missing_gives_no_score():
+    held = Held()
+    held.watch.learn(*held.rest(30))
+    since, now = held.rest(25)
+    held.wrench.put(np.array([now + 0.001]), np.full((1, 6), np.nan))
+    assert np.isfinite(held.watch.hold(since, now + 0.002))
+    assert held.watch.hold(now + 10.0, now + 11.0) == 0.0
+    still = Held()
+    still.rng = SimpleNamespace(standard_normal=np.zeros)
+    assert not still.watch.learn(*still.rest(30))  # a frozen sensor has no noise
 
 
 @pytest.mark.promise("G1")

@@ -288,6 +288,73 @@ def test_release_is_judged_at_the_true_offset(start):
     assert after.offset_mm == pytest.approx(start, abs=1e-9)
 
 
+def open_in_steps(driven, opened_mm, from_mm=None):
+    """Open in steps of 0.1 mm, each held for 1 s, from the width ``from_mm`` of the piece."""
+    width_mm = driven.bench.scene.piece.width_mm if from_mm is None else from_mm
+    for step in range(1, round(opened_mm / 0.1) + 1):
+        driven.finish(driven.gripper.open_to(width_mm + 0.1 * step, 5.0))
+        driven.rest(0.98)
+
+
+def unloaded(start, **given):
+    """Return a piece at ``start`` that its support carries."""
+    driven = Driven(start, **given).grip()
+    driven.press()
+    driven.finish(driven.arm.unload(0.4, 2.0))
+    driven.rest(0.2)
+    return driven
+
+
+def test_a_stable_piece_leaves_the_hand_without_load_step_by_step():
+    driven = unloaded((4.0, 3.0))
+    open_in_steps(driven, 0.5)
+    assert driven.gripper.status().force_n == pytest.approx(10.0 - 5.0 * 0.5, abs=0.3)
+    assert not driven.gripper.status().holding
+    assert driven.bench.truth().stands is None
+    open_in_steps(driven, 2.0, driven.bench.scene.piece.width_mm + 0.5)
+    gripper = np.array([0, 0, -1.5 * 9.80665, 0, 0, 0])
+    assert driven.wrench() == pytest.approx(gripper, abs=1e-3)
+    driven.finish(driven.gripper.open_to(driven.gripper.status().width_mm + 2.0, 5.0))
+    after = driven.bench.truth()
+    assert (after.stands, driven.bench.truth().margin_mm) == (True, pytest.approx(5.0, abs=0.01))
+
+
+def test_a_piece_that_falls_along_the_pads_is_lost_while_the_jaws_open():
+    driven = unloaded((11.5, 0.0))
+    open_in_steps(driven, 2.6)
+    assert driven.bench.truth().stands is False
+    driven.finish(driven.gripper.grip(10.0))
+    assert not driven.gripper.status().holding
+
+
+def test_a_piece_that_leans_on_a_finger_loads_the_hand_and_can_be_gripped_again():
+    driven = unloaded((0.0, 15.5), piece="brick", bottoms=("circle25",))
+    margin_mm = driven.bench.truth().margin_mm
+    open_in_steps(driven, 2.6)
+    assert driven.bench.truth().stands is None
+    free_n = -1.5 * 9.80665
+    load = driven.wrench() - [0, 0, free_n, 0, 0, 0]
+    # It leans at the height of the pads, 28 mm, by 1.6 mm of its weight beside the edge.
+    assert load[1] == pytest.approx(-0.15 * 9.80665 * margin_mm / 28.0, rel=0.1)
+    assert load[3] == pytest.approx(1e-3 * load[1] * 120.0, rel=0.05)
+    driven.finish(driven.gripper.grip(10.0))
+    driven.rest(0.2)
+    assert driven.gripper.status().holding
+    driven.move(dz=10.0)
+    weight_n = 9.80665 * (1.5 + 1e-3 * driven.bench.scene.piece.mass_g)
+    assert driven.wrench()[2] == pytest.approx(-weight_n, abs=1e-6)
+    assert driven.bench.truth().stands is None
+    assert margin_mm < 0.0
+
+
+def test_steps_in_air_loosen_the_grip_and_the_piece_falls():
+    driven = Driven().grip()
+    open_in_steps(driven, 0.3)
+    assert driven.bench.truth().stands is None
+    driven.finish(driven.gripper.open_to(40.0, 20.0))
+    assert driven.bench.truth().stands is False
+
+
 def test_release_high_above_the_support_is_a_fall():
     driven = Driven().grip()
     driven.finish(driven.gripper.open_to(40.0, 20.0))

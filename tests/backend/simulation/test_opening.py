@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from tests.staged_release import (
-    FALLEN_RAD,
-    SUPPORTED_S,
-    LoosePads,
-    OpeningPlan,
-    StandingPiece,
-    open_in_steps,
-)
+from tests.release_study import SUPPORTED_S, OpeningPlan, open_in_steps
+from touchdown.backend.config import SimulationSettings
+from touchdown.backend.geometry import load_pieces
 from touchdown.backend.geometry.outlines import circle, rectangle
 from touchdown.backend.geometry.tower import Body, Tower
+from touchdown.backend.simulation.ground_truth import Scene
+from touchdown.backend.simulation.opening import (
+    FALLEN_RAD,
+    NO_SUPPORT_MM,
+    LoosePads,
+    StandingPiece,
+    standing_piece,
+)
 from touchdown.backend.simulation.release_mujoco import mujoco_available, simulate_release
 
 WEIGHT_N, HEIGHT_MM, GRIP_MM, HALF_MM = 0.2, 25.0, 30.0, 15.0
@@ -149,3 +152,23 @@ def test_the_fall_takes_as_long_as_in_mujoco(margin_mm) -> None:
     ours_s = course.reached_s(np.radians(8.0))[0]
     # The edge of MuJoCo is up to 0.06 mm nearer.
     assert ours_s == pytest.approx(theirs_s, rel=0.06)
+
+
+def test_the_piece_of_a_scene_turns_about_the_nearest_edge_of_its_support() -> None:
+    catalogue = load_pieces()
+    tower = Tower((catalogue.bottom("circle25").body(),))
+    scene = Scene(catalogue.top("pot"), tower, (0.0, 0.0), 5, SimulationSettings(preset="off"))
+    away = np.radians(30.0)
+    at = (13.5 * np.cos(away), 13.5 * np.sin(away))
+    piece = standing_piece(scene, at, 0.0)
+    assert piece.margin_mm == pytest.approx(12.5 - 13.5, abs=0.01)
+    assert np.degrees(piece.axis_rad) == pytest.approx(30.0, abs=0.5)
+    # The overlap of two circles of 15 and 25 mm, 13.5 mm apart, is 6.5 mm wide.
+    assert piece.span_mm == pytest.approx(12.5 + 7.5 - 13.5, abs=0.05)
+    assert piece.weight_n == pytest.approx(0.015 * 9.80665)
+    pads = -1.0 - 15.0 * np.sin(away) * np.array([1.0, -1.0])
+    assert piece.pads_mm[0] == pytest.approx(pads, abs=0.15)
+    moved = standing_piece(scene, at, 0.0, (-2.0 * np.cos(away), -2.0 * np.sin(away)))
+    assert moved.margin_mm == pytest.approx(1.0, abs=0.01)
+    beside = standing_piece(scene, (40.0, 0.0), 0.0)
+    assert (beside.margin_mm[0], beside.span_mm[0]) == (NO_SUPPORT_MM, 0.0)

@@ -17,6 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.backend.core import FloatArray
+from touchdown.backend.geometry import interface_overlap
+from touchdown.backend.simulation.conditions import Conditions
+from touchdown.backend.simulation.ground_truth import Scene, tower_with_piece, true_margin_mm
 from touchdown.backend.simulation.mechanics import SIGN
 from touchdown.backend.simulation.rows import Rows
 
@@ -24,7 +27,11 @@ FALLEN_RAD = np.radians(12.0)  # the motion ends there
 MM_PER_M = 1e3  # 1 N is 1000 kg mm/s²
 STILL_RAD_S = 1e-7  # slower motion ends with the step of the jaws that caused it
 GEL_LOSS_S = 1e-3  # damping of the pads over their stiffness
-SUPPORTED_S = 0.5  # time between the unloading and the first step
+GRAVITY_M_S2 = 9.80665
+# Closing jaws set a piece upright that has turned by less; a release within it is stable
+CATCH_RAD = np.radians(5.0)
+DIRECTIONS_RAD = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+NO_SUPPORT_MM = -20.0  # margin of a piece without support below it
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +66,7 @@ class StandingPiece(Rows):
     def edge_inertia_kg_mm2(self, side: FloatArray) -> FloatArray:
         """Return the inertia (B,) about the edge of ``side``."""
         lever = np.where(side > 0.0, self.margin_mm, self.span_mm - self.margin_mm)
-        mass_kg = self.weight_n / 9.80665
+        mass_kg = self.weight_n / GRAVITY_M_S2
         return self.inertia_kg_mm2 + mass_kg * (lever**2 + self.com_height_mm**2)
 
 
@@ -81,98 +88,19 @@ class LoosePads(Rows):
     strain: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class OpeningPlan:
-    """Opening in steps of the width: ``step_mm`` at ``speed_mm_s``, each held for ``hold_s``.
-
-    ``steps``: number of them. Times count from the start; the first step begins at ``SUPPORTED_S``.
-    """
-
-    step_mm: float = 0.1
-    hold_s: float = 1.0
-    speed_mm_s: float = 5.0
-    steps: int = 8
-
-    @property
-    def starts_s(self) -> FloatArray:
-        """(steps,) times at which the steps begin."""
-        return np.asarray(SUPPORTED_S + self.hold_s * np.arange(self.steps), dtype=np.float64)
-
-    @property
-    def end_s(self) -> float:
-        """End of the last hold."""
-        return SUPPORTED_S + self.hold_s * self.steps
-
-    def opened_mm(self, t_s: float) -> float:
-        """Return how far the width has grown."""
-        if t_s < SUPPORTED_S:
-            return 0.0
-        whole, rest_s = divmod(t_s - SUPPORTED_S, self.hold_s)
-        within = min(self.step_mm, self.speed_mm_s * rest_s)
-        return min(self.steps * self.step_mm, whole * self.step_mm + within)
-
-
-@dataclass(frozen=True, slots=True)
-class OpeningCourse:
-    """The motion, sampled at ``t_s`` (T,).
-
-    ``angle_rad`` (B, T), constant after the fall; ``strain`` (B, T, 2, 3); ``normal_n`` (B, T, 2);
-    ``wrench_g`` (B, T, 6): force (N) and moment (N·mm at the pivot ``G``) of the piece on the hand.
-    """
-
-    t_s: FloatArray
-    angle_rad: FloatArray
-    strain: FloatArray
-    normal_n: FloatArray
-    wrench_g: FloatArray
-
-    def reached_s(self, angle_rad: float) -> FloatArray:
-        """Return the time (B,) at which the angle first has this size; infinite if never."""
-        beyond = np.abs(self.angle_rad) >= angle_rad
-        return np.where(beyond.any(axis=1), self.t_s[beyond.argmax(axis=1)], np.inf)
-
-
-def open_in_steps(
-    piece: StandingPiece,
-    pads: LoosePads,
-    plan: OpeningPlan,
-    dt_s: float = 2e-4,
-    sample_s: float = 0.01,
-) -> OpeningCourse:
-    """Simulate the opening.
+class TurningPiece:
+    """Motion of B pieces while their jaws open: angle and rate (B,), slip of the pads (B, 2, 3).
 
     Parameters
     ----------
     piece, pads : StandingPiece, LoosePads
-        B pieces and their grips, at rest and flat on the support.
-    plan : OpeningPlan
-        Motion of the jaws.
+        Pieces and their grips, at rest and flat on the support.
     dt_s : float
         Step of the integration (semi-implicit Euler).
-    sample_s : float
-        Interval of the result, a multiple of ``dt_s``.
-
-    Returns
-    -------
-    OpeningCourse
 
     """
-    moving = _Motion(piece, pads, dt_s)
-    every = round(sample_s / dt_s)
-    times, samples = [], []
-    for k in range(round(plan.end_s / dt_s) + 1):
-        if k % every == 0:
-            times.append(k * dt_s)
-            samples.append(moving.sample())
-        moving.advance(0.5 * plan.opened_mm(k * dt_s))
-    angle, strain, normal, wrench = (np.stack(part, axis=1) for part in zip(*samples, strict=True))
-    return OpeningCourse(np.array(times), angle, strain, normal, wrench)
 
-
-class _Motion:
-    """State of the integration: angle and its rate (B,), slip of the pads (B, 2, 3)."""
-
-    def __init__(self, piece: StandingPiece, pads: LoosePads, dt_s: float) -> None:
+    def __init__(self, piece: StandingPiece, pads: LoosePads, dt_s: float = 2e-4) -> None:
         self.piece, self.pads, self.dt_s = piece, pads, dt_s
         count = len(piece.margin_mm)
         self.angle_rad, self.rate = np.zeros(count), np.zeros(count)
@@ -251,3 +179,88 @@ class _Motion:
         )
         strain = force / self.pads.stiffness[:, None]
         return self.angle_rad.copy(), strain, self._normal_n.copy(), wrench
+
+
+def standing_piece(
+    scene: Scene,
+    offset_mm: tuple[float, float],
+    yaw_rad: float,
+    kick_mm: tuple[float, float] = (0.0, 0.0),
+) -> StandingPiece:
+    """Return the held piece of a scene on its support, as one row.
+
+    It turns about the edge of the face below; ``margin_mm`` is that of the whole tower.
+    ``kick_mm``: shift of the centre of mass by the opening fingers.
+    """
+    tower, piece = tower_with_piece(scene, offset_mm, yaw_rad), scene.piece
+    body = tower.bodies[-1]
+    edges = interface_overlap(tower, len(tower.bodies) - 1)
+    centre = np.add(body.centre_mm, kick_mm)
+    normals = np.stack([np.cos(DIRECTIONS_RAD), np.sin(DIRECTIONS_RAD)])
+    beyond = ((edges.start_mm[edges.kept] - centre) @ normals).max(axis=0, initial=-np.inf)
+    k = int(beyond.argmin())
+    span_mm = beyond[k] + beyond[(k + len(beyond) // 2) % len(beyond)]
+    margin_mm = max(true_margin_mm(scene, offset_mm, yaw_rad, kick_mm), NO_SUPPORT_MM)
+    normal, mass_kg = normals[:, k], 1e-3 * body.mass_g
+    x, y = piece.face.half_extents_mm
+    share = 1 / 4 if piece.face.kind == "circle" else 1 / 3
+    across_mm2 = share * (x if abs(normal[0]) > np.sqrt(0.5) else y) ** 2
+    # The pads hold the piece in the middle of its face.
+    pads = np.subtract(body.at_mm, centre) + 0.5 * piece.width_mm * np.outer(SIGN, (0.0, 1.0))
+    return StandingPiece(
+        margin_mm=np.array([margin_mm]),
+        span_mm=np.array([span_mm if np.isfinite(span_mm) else 0.0]),
+        axis_rad=DIRECTIONS_RAD[k : k + 1],
+        com_height_mm=np.array([body.com_height_mm]),
+        weight_n=np.array([GRAVITY_M_S2 * mass_kg]),
+        inertia_kg_mm2=np.array([mass_kg * (across_mm2 + piece.height_mm**2 / 12.0)]),
+        grip_height_mm=np.array([scene.grip_height_mm]),
+        pads_mm=margin_mm - (pads @ normal)[None],
+    )
+
+
+class LooseGrip:
+    """One grip while its jaws open in steps, from the equilibrium ``values`` (14,) of a timeline.
+
+    ``conditions`` are those of the grip, as one row; ``weight_g`` (6,): weight of the held piece at
+    ``G``. What the springs here do not explain of ``values``, such as hysteresis, vanishes with the
+    normal force.
+    """
+
+    def __init__(
+        self, piece: StandingPiece, conditions: Conditions, values: FloatArray, weight_g: FloatArray
+    ) -> None:
+        shear = conditions.shear_n_mm
+        strain = values[None, 6:12].reshape(1, 2, 3).copy()
+        # The strain of an equilibrium counts from the piece in air, which hangs on the pads.
+        strain[:, :, 1] -= (0.5 * piece.weight_n / shear)[:, None]
+        pads = LoosePads(
+            stiffness=np.stack([shear, shear, conditions.torsion_nmm], axis=1),
+            normal_n_mm=conditions.normal_n_mm,
+            mu_grip=conditions.mu_grip,
+            limit_radius_mm=conditions.limit_radius_mm,
+            half_width_mm=0.5 * conditions.width_mm,
+            force_n=values[None, 12:].mean(axis=1),
+            strain=strain,
+        )
+        self._turning = TurningPiece(piece, pads)
+        self._weight_g = weight_g
+        self._turning.advance(0.0)
+        first = self._sample()
+        self._left, self._normal_n = values - first, first[12:].mean()
+
+    @property
+    def turned_rad(self) -> float:
+        """How far the piece has turned about an edge of its support."""
+        return float(np.abs(self._turning.angle_rad[0]))
+
+    def advance(self, opened_mm: float, dt_s: float) -> FloatArray:
+        """Return the values (14,) after ``dt_s`` with the jaws opened by ``opened_mm`` in all."""
+        for _ in range(round(dt_s / self._turning.dt_s)):
+            self._turning.advance(0.5 * opened_mm)
+        now = self._sample()
+        return np.asarray(now + self._left * (now[12:].mean() / self._normal_n))
+
+    def _sample(self) -> FloatArray:
+        _, strain, normal, wrench = self._turning.sample()
+        return np.concatenate([wrench[0] - self._weight_g, strain.ravel(), normal[0]])

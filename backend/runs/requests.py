@@ -158,7 +158,8 @@ class StackRequest:
     def method(self, base: StackSettings) -> StackSettings:
         """Return ``base`` with the settings of this run."""
         strategy = "fused" if self.learned else self.strategy
-        given = {"strategy": strategy, "mode": self.mode, "weigh": self.weigh or base.weigh}
+        weigh = self.weigh or base.weigh
+        given: dict[str, Any] = {"strategy": strategy, "mode": self.mode, "weigh": weigh}
         if self.staged and not base.release.stages:
             given["release"] = base.release.model_copy(update={"stages": STAGES})
         for group, values in LEARNED.get(self.strategy, {}).items():

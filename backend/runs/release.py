@@ -90,11 +90,8 @@ def _open_in_stages(
         watch.keep(since_s, bench.now_s())
         if turned() or (step == settings.stages and _leans(bench, watch)):
             return (yield from _hold_again(bench, probe, step))
-    yield from _open_wide(
-        bench,
-        probe,
-        bench.gripper.open_to(width_mm + 2.0 * settings.clearance_mm, settings.open_mm_s),
-    )
+    wide_mm = bench.gripper.status().width_mm + 2.0 * settings.clearance_mm
+    yield from _open_wide(bench, probe, bench.gripper.open_to(wide_mm, settings.open_mm_s))
     return True
 
 

@@ -26,7 +26,7 @@ SQUEEZE_TIME_S = 0.1  # time from touching the piece to full force
 WEIGH_CYCLE_US = 1_000_000
 POSE_CYCLES = 6  # from one pose of a weighing to the next, as long as the simulated arm needs
 LET_GO_MM = 0.1  # jaws that open at once release the piece when wider than it by this much
-STEP_MM = 0.2  # jaws that open by less in one command loosen the grip
+STEP_MM = 0.15  # jaws that open by less in one command loosen the grip
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,6 +49,7 @@ from touchdown.backend.placement import PlaceDecision, ProbeObservation
 from touchdown.backend.placement.belief import Belief
 from touchdown.backend.runs import NoEstimator, StackRequest
 from touchdown.backend.runs.release import lean_sigmas
+from touchdown.backend.runs.requests import STAGES
 from touchdown.backend.sensing import TurnDetector
 from touchdown.backend.simulation import gel_from_settings, opening
 from touchdown.backend.simulation.opening import LoosePads, StandingPiece, TurningPiece
@@ -608,7 +609,7 @@ def release_on_bench(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-RIG_SEED, RIG_PRESET, RIG_STAGES = 9_000_000, "bench-v2", 38
+RIG_SEED, RIG_PRESET = 9_000_000, "bench-v2"
 RIG_FORMAT = "touchdown-staged-release-rig/1"
 
 
@@ -653,7 +654,7 @@ KINDS = {"staged-release": simulate_releases, "rig-release": release_on_bench}
 
 def study_rig(pieces: Sequence[str], count: int, out: Path, workers: int) -> int:
     """Run the releases through the rig and print the counts; return 1 if a job failed."""
-    release, code = {"stages": RIG_STAGES}, package_version("touchdown")
+    release, code = {"stages": STAGES}, package_version("touchdown")
     jobs, store = rig_jobs(pieces, count, release, code), JobStore(out / "jobs")
     for result in run_campaign(jobs, ProcessPool(KINDS, store, workers), store):
         sys.stdout.write(f"{result.kind}: {result.state}\n")

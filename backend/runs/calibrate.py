@@ -60,17 +60,17 @@ from touchdown.backend.runs import motions
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
-from touchdown.backend.runs.probe import press_once
-from touchdown.backend.runs.requests import CalibrateRequest, request_record
-from touchdown.backend.runs.touch_probing import (
+from touchdown.backend.runs.probe import (
     BELOW_MM,
     FINE_MM,
     edge_mm,
     find_height,
+    press_once,
     rise_from_contact,
     touch_height_mm,
     void_touch,
 )
+from touchdown.backend.runs.requests import CalibrateRequest, request_record
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, take_reference
 
 INSET_MM = 2.0  # distance of a probed point from the ends of an edge

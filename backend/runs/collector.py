@@ -36,7 +36,13 @@ from touchdown.backend.runs.campaign import (
     xy_mm,
 )
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
-from touchdown.backend.runs.probe import press_once, scene_pictures
+from touchdown.backend.runs.probe import (
+    RESOLUTION_MM,
+    edge_mm,
+    find_height,
+    press_once,
+    scene_pictures,
+)
 from touchdown.backend.runs.recorder import (
     DISK_FULL,
     DiskWriter,
@@ -46,7 +52,6 @@ from touchdown.backend.runs.recorder import (
     save_or_wait,
     wait_for_space,
 )
-from touchdown.backend.runs.touch_probing import RESOLUTION_MM, edge_mm, find_height
 from touchdown.backend.sensing import EpisodeLimits, assemble_episode
 
 MEASURED = "measured"

@@ -27,9 +27,8 @@ from touchdown.backend.runs.plan import Plan, Wait, motion_done
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, TurnDetector, slip_since_loading
 
 REST_S = 1.0  # time limit for the arm to come to rest
-# Before stages: press force that an unloading aims at (some is lost by creep, the interlock requires
-# 0.3 to 2 N), and
-# time at rest, in which the noise of the signals is measured
+# Before stages: press force that an unloading aims at (the interlock requires 0.3 to 2 N, and creep
+# takes some), and time at rest, in which the noise of the signals is measured
 UNLOAD_N, REST_STAGED_S = (0.8, 1.9), 1.2
 FRAME_S = 0.04
 OFFSET_N, OFFSET_NM = 0.2, 0.008  # slow offset of the wrist since the tare, standard deviations

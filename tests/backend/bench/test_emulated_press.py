@@ -120,6 +120,24 @@ def test_the_piece_is_taken_with_its_weight_and_let_go(bench):
     assert bench.gripper.jaws.part_mm is None
 
 
+@pytest.mark.parametrize("speed_mm_s", [5.0, 200.0])
+def test_steps_of_the_jaws_reach_the_world_however_short_they_are(bench, speed_mm_s):
+    bench.held()
+    world, width_mm = bench.emulated.world, bench.emulated.scene.piece.width_mm
+    for step, order in enumerate((wsg_binary.release, wsg_binary.preposition), 1):
+        more = {} if step == 1 else {"stop_on_block": True}
+        bench.order(order(width_mm + 0.1 * step, speed_mm_s, **more))
+        bench.pass_time(0.2)
+        assert world.jaws.width_mm == pytest.approx(width_mm + 0.1 * step, abs=0.011)
+        assert (world.jaws.loosened, world.jaws.holding) == (True, False)
+    assert bench.gripper.openings == 1
+    assert world.holding is not None
+    bench.order(wsg_binary.grasp(0.0, 100.0))
+    bench.pass_time(0.5)
+    assert (world.jaws.loosened, world.jaws.holding) == (False, True)
+    assert world.jaws.width_mm == width_mm
+
+
 def test_a_piece_that_is_lost_is_gone_from_jaws_and_world(bench):
     bench.held()
     assert bench.emulated.world.holding is not None

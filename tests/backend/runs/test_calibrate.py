@@ -35,7 +35,7 @@ from touchdown.backend.runs import (
     RecordingOptions,
     StackRequest,
     calibrate,
-    touch_probing,
+    probe,
 )
 from touchdown.backend.runs.calibrate import (
     along_edges,
@@ -65,7 +65,7 @@ from touchdown.backend.simulation.devices.arm import SimArm
 @pytest.fixture
 def near(monkeypatch) -> None:
     """Search edges close to their expected position, with fewer touches."""
-    monkeypatch.setattr(touch_probing, "SEARCH_MM", 0.8)
+    monkeypatch.setattr(probe, "SEARCH_MM", 0.8)
 
 
 def measured(blind: BlindBench, measure, request: CalibrateRequest) -> CalibrationEstimate:
@@ -243,7 +243,7 @@ def test_a_void_touch_is_made_again_but_not_for_ever(voids, fault, monkeypatch):
 
     def height(bench):
         yield from pick_piece(bench)
-        return (yield from touch_probing.find_height(bench, np.zeros(2)))
+        return (yield from probe.find_height(bench, np.zeros(2)))
 
     if voids == TOUCH_TRIES:
         with pytest.raises(FaultError, match="PRESS-VOID"):

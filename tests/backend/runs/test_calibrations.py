@@ -51,16 +51,16 @@ from touchdown.backend.devices.gelsight.emulator import other_gel, small_dots
 from touchdown.backend.emulation.simulated_disturbances import Disturbance, DisturbanceScript
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry import circle, load_pieces
-from touchdown.backend.runs import touch_probing
+from touchdown.backend.runs import probe
 from touchdown.backend.runs.calibrate import measure_board
 from touchdown.backend.runs.calibrations import DriftMonitor, GelCheck, contact_height_mm
 from touchdown.backend.runs.campaign import Campaign, last_signal_excerpt
 from touchdown.backend.runs.collector import Collector, measure_offset
 from touchdown.backend.runs.jig import approach_with_piece, pick_piece, return_piece
 from touchdown.backend.runs.motions import REFERENCE_S, descent_start
+from touchdown.backend.runs.probe import BELOW_MM, touch_height_mm
 from touchdown.backend.runs.release import release_evidence
 from touchdown.backend.runs.requests import CalibrateRequest, ProbeRequest, SceneChoice
-from touchdown.backend.runs.touch_probing import BELOW_MM, touch_height_mm
 from touchdown.backend.sensing.live import LiveSensing
 
 OFF_MM = np.array([0.45, -0.4, -0.6])
@@ -84,7 +84,7 @@ def touch_there(bench):
 
 
 def test_a_wrong_prior_is_put_right_by_the_board(tmp_path, monkeypatch):
-    monkeypatch.setattr(touch_probing, "SEARCH_MM", 1.6)
+    monkeypatch.setattr(probe, "SEARCH_MM", 1.6)
     request = CalibrateRequest("board", seed=5)
     skewed = []
 
@@ -499,8 +499,8 @@ def test_a_mug_is_released_with_its_centre_of_mass_over_the_support():
     assert end.outcome is Outcome.PLACED
     probed, judged, chosen = map(bench.of, (EpisodeRecorded, StabilityJudged, ActionChosen))
     assert len(probed) == len(judged) == len(chosen) == end.probes > 1
-    for probe, verdict in zip(probed, judged, strict=True):
-        off_mm = np.asarray(verdict.stability.centre_mm) - probe.episode.offset_mm
+    for made, verdict in zip(probed, judged, strict=True):
+        off_mm = np.asarray(verdict.stability.centre_mm) - made.episode.offset_mm
         np.testing.assert_allclose(off_mm, com, atol=1e-9)
     # Face and bottom are discs of 20 mm: the support is a lens, whose edges are theirs.
     truth = bench.benches[-1].truth()

@@ -40,17 +40,8 @@ NO_STORE = "This bench keeps no calibrations"
 class CalibratePresenter:
     """Keeps one calibration sheet per bench. A run started elsewhere is waited for."""
 
-    def __init__(
-        self,
-        bench: Session,
-        theme: Theme,
-        window: QWidget,
-        cards: FaultCards,
-        person: Callable[[], str] = core.account_name,
-        now_s: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, bench: Session, theme: Theme, window: QWidget, cards: FaultCards) -> None:
         self._bench, self._theme, self._window, self._cards = bench, theme, window, cards
-        self._person, self._now_s = person, now_s
         self.sheet: CalibrateSheet | None = None
         self.identify: IdentifySheet | None = None
         self.open_bench: Callable[[Path], None] = lambda file: None
@@ -120,7 +111,7 @@ class CalibratePresenter:
 
     def draw(self, *, at_once: bool = False) -> None:
         """Update the sheet ten times a second while it is open."""
-        sheet, now_s = self.sheet, self._now_s()
+        sheet, now_s = self.sheet, time.monotonic()
         if sheet is None or not (at_once or sheet.isVisible()):
             return
         if not at_once and now_s - self._drawn_s < PERIOD_S:
@@ -153,7 +144,7 @@ class CalibratePresenter:
             return
 
         def accept() -> None:
-            path = runs.accept_calibration(store, found, self._bench.devices, self._person())
+            path = runs.accept_calibration(store, found, self._bench.devices, core.account_name())
             del self._measured[self._chosen]
             after = tr(AFTER.get(self._chosen, ""))
             self._said[self._chosen] = f"{tr('Accepted: {}', path.name)}{after}"
@@ -171,7 +162,7 @@ class CalibratePresenter:
     # -- showing ----------------------------------------------------------------------------------
 
     def _read_standings(self) -> None:
-        self._read_s, store = self._now_s(), self._bench.calibrations
+        self._read_s, store = time.monotonic(), self._bench.calibrations
         if store is not None:
             names = runs.device_names(self._bench.devices)
             try:

@@ -239,9 +239,8 @@ class CollectPresenter:
         cards: FaultCards,
         reader: shell.SaveWorker,
         catalogue: PieceLibrary,
-        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._page, self._cards, self._reader, self._now_s = page, cards, reader, now_s
+        self._page, self._cards, self._reader = page, cards, reader
         self.probes = ProbesPresenter(page, reader, catalogue, self._failed)
         self.origin = OriginField(page.target)
         self.person = ""
@@ -388,7 +387,7 @@ class CollectPresenter:
         if isinstance(event, core.RunStarted):
             self._mine = event.activity == "collect"
             if self._mine:
-                self._pace.restart(self._now_s())
+                self._pace.restart(time.monotonic())
                 self.probes.begin_run()
                 self._show_pair(event.piece, event.bottom)
         if not self._mine:
@@ -431,11 +430,13 @@ class CollectPresenter:
         target.show_form(replace(target.form(), piece=piece, bottom=bottom))
 
     def _collected(self, event: core.ProbeCollected) -> None:
-        self._pace.note(self._now_s())
+        self._pace.note(time.monotonic())
         self.probes.follow(event.uuid)
         self._progress.collected(event)
         self._show_done()
-        self.probes.read(event.uuid, lambda held: self._gauge.note(self._now_s(), held.entry.bytes))
+        self.probes.read(
+            event.uuid, lambda held: self._gauge.note(time.monotonic(), held.entry.bytes)
+        )
 
     def _show_done(self) -> None:
         done, total = self._progress.done, self._progress.total
@@ -500,7 +501,7 @@ class CollectPresenter:
             if focused is not None and not focused.isEnabled():
                 # Otherwise Qt moves the focus to another field.
                 self._page.setFocus()
-        now_s = self._now_s()
+        now_s = time.monotonic()
         if now_s - self._gauge_s >= GAUGE_S and self.dataset is not None:
             self._gauge_s = now_s
             self._page.recorder.setText(self._gauge.words(self.dataset.folder, now_s))

@@ -149,14 +149,8 @@ UNITS = {
 class LimitsPresenter:
     """Edits the limits of a bench."""
 
-    def __init__(
-        self,
-        bench: Session,
-        window: QWidget,
-        cards: FaultCards,
-        person: Callable[[], str] = account_name,
-    ) -> None:
-        self._bench, self._window, self._cards, self._person = bench, window, cards, person
+    def __init__(self, bench: Session, window: QWidget, cards: FaultCards) -> None:
+        self._bench, self._window, self._cards = bench, window, cards
         self._first = bench.interlock.limits
         self._said = ""
         self.sheet: LimitsSheet | None = None
@@ -196,7 +190,7 @@ class LimitsPresenter:
         return ""
 
     def _take(self, wanted: Limits) -> None:
-        person, source = self._person(), self._bench.limits_source
+        person, source = account_name(), self._bench.limits_source
         change = partial(self._bench.change_limits, wanted, person)
         if carry_out(change, self._cards, "LIMITS"):
             changed = tr("From {}, changed at {} by {}.", source, time_of_day(), person)

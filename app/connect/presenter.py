@@ -179,9 +179,8 @@ class ConnectPresenter:
         window: QWidget,
         cards: FaultCards,
         limits: LimitsPresenter,
-        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._bench, self._connection, self._cards, self._now_s = bench, connection, cards, now_s
+        self._bench, self._connection, self._cards = bench, connection, cards
         self.devices = DevicesPresenter(bench, window)
         self.sheet = sheet = ConnectSheet(window)
         sheet.connect_all.clicked.connect(self._connect)
@@ -205,7 +204,7 @@ class ConnectPresenter:
 
     def draw(self, *, at_once: bool = False) -> None:
         """Update the panel ten times a second while it is open."""
-        now_s = self._now_s()
+        now_s = time.monotonic()
         if not at_once and (not self.sheet.isVisible() or now_s - self._drawn_s < PERIOD_S):
             return
         self._drawn_s = now_s

@@ -38,14 +38,8 @@ SHORT = {
 class ManualControlPresenter:
     """Sends manual commands to the bench; shows pose, range, gripper and refusals."""
 
-    def __init__(
-        self,
-        bench: Session,
-        page: OperatePage,
-        cards: FaultCards,
-        now_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._bench, self._page, self._cards, self._now_s = bench, page, cards, now_s
+    def __init__(self, bench: Session, page: OperatePage, cards: FaultCards) -> None:
+        self._bench, self._page, self._cards = bench, page, cards
         self._hold = self._sequence = 0
         self._drawn_s = float("-inf")
         self._drawn_pads: tuple[str, ...] = ()
@@ -145,7 +139,7 @@ class ManualControlPresenter:
         if why:
             self._page.jog.hold.end(why)
             self._page.jog.show_armed(False)
-        now_s, pads = self._now_s(), self._page.jog.shown
+        now_s, pads = time.monotonic(), self._page.jog.shown
         if now_s - self._drawn_s >= PERIOD_S or pads != self._drawn_pads:
             self._drawn_s, self._drawn_pads = now_s, pads
             self._page.jog.show_look(self._look())

@@ -358,8 +358,8 @@ class ReadRun:
 class RunReader:
     """Reads one log. ``read`` is called on another thread, all else on that of the window."""
 
-    def __init__(self, run: Path, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._run, self._now_s, self._begun_s = run, now_s, now_s()
+    def __init__(self, run: Path) -> None:
+        self._run, self._begun_s = run, time.monotonic()
         self._share = 0.0
         self._dropped = False
 
@@ -383,7 +383,7 @@ class RunReader:
 
     def progress(self) -> str:
         """Return progress and remaining time, "" for short readings."""
-        taken_s, share = self._now_s() - self._begun_s, self._share
+        taken_s, share = time.monotonic() - self._begun_s, self._share
         if taken_s < LONG_S:
             return ""
         if share <= 0.0:

@@ -218,7 +218,7 @@ def _gallery(
     gallery: experiments.PictureGallery, cards: list[tuple[experiments.ReportPicture, PictureCard]]
 ) -> list[QWidget]:
     """Return the widgets of a gallery; add its cards to those to be drawn."""
-    made: list[QWidget] = [label(gallery.text, "muted", wrap=True)] if gallery.text else []
+    made: list[QWidget] = []
     own = [
         PictureCard(
             p.title, p.note, p.title or gallery.title or "Chart", QSize(*drawing_size(p.svg))

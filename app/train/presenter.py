@@ -431,17 +431,9 @@ class TrainPresenter:
 
 def training_request(form: TrainingForm) -> learning.TrainingRequest:
     """Return the request of a form. Raises ``InputError``."""
-    settings = {
-        "modality": form.modality,
-        "layers": form.layers,
-        "hidden": form.hidden,
-        "learning_rate": form.learning_rate,
-        "epochs": form.epochs,
-        "batch": form.batch,
-        "validation_share": form.held_out / 100,
-        "divide_series": form.divide_series,
-        "seed": form.seed,
-    }
+    shared = TrainingSettings.model_fields.keys() & asdict(form).keys()
+    settings = {name: getattr(form, name) for name in shared}
+    settings["validation_share"] = form.held_out / 100
     labels = next(name for name in LABEL_CHOICES if name == form.labels)
     parsed = parse_settings(TrainingSettings, settings, "the form")
     return learning.TrainingRequest(Path(form.data), form.piece, parsed, labels)

@@ -91,18 +91,10 @@ def new_revision(
     reason: str | None = None,
 ) -> dict[str, Any]:
     """Return the columns of a new revision, as written to the body of its operation."""
-    return {
-        "rev_uuid": uuid7(),
-        "episode": episode,
-        "parent": parent,
-        **asdict(content.label),
-        "source": content.source,
-        "state": state,
-        "reason": reason,
-        "verdict": content.verdict,
-        "geometry": content.geometry,
-        "note": content.note,
-    }
+    columns: dict[str, Any] = asdict(content)
+    columns |= columns.pop("label")
+    place = {"rev_uuid": uuid7(), "episode": episode, "parent": parent}
+    return place | columns | {"state": state, "reason": reason}
 
 
 def following(
@@ -209,21 +201,15 @@ def _store_mark(
     connection: sqlite3.Connection, operation: Operation, mark: Mapping[str, Any]
 ) -> None:
     # The mark of the greatest (lamport, site) wins, so the order of arrival does not matter.
+    own = {name: getattr(operation, name) for name in ("op_uuid", "lamport", "site")}
+    owner = operation.op_uuid if mark["owner"] is None else mark["owner"]
     connection.execute(
-        "INSERT INTO mark VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO UPDATE SET"
+        "INSERT INTO mark VALUES (:episode, :name, :present, :note, :op_uuid, :lamport, :site,"
+        " :owner) ON CONFLICT DO UPDATE SET"
         " present = excluded.present, note = excluded.note, op_uuid = excluded.op_uuid,"
         " lamport = excluded.lamport, site = excluded.site, owner = excluded.owner"
         " WHERE (excluded.lamport, excluded.site) > (mark.lamport, mark.site)",
-        (
-            mark["episode"],
-            mark["name"],
-            int(mark["present"]),
-            mark["note"],
-            operation.op_uuid,
-            operation.lamport,
-            operation.site,
-            operation.op_uuid if mark["owner"] is None else mark["owner"],
-        ),
+        {**mark, **own, "owner": owner},
     )
 
 

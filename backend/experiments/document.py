@@ -90,11 +90,10 @@ class ReportPicture:
 
 @dataclass(frozen=True, slots=True)
 class PictureGallery:
-    """Pictures side by side, with text above and a line below."""
+    """Pictures side by side, with a line below."""
 
     title: str
     pictures: tuple[ReportPicture, ...]
-    text: str = ""
     end: str = ""
 
 
@@ -348,7 +347,7 @@ def _gallery(gallery: PictureGallery) -> str:
     )
     end = f'<p class="end">{escape(gallery.end)}</p>' if gallery.end else ""
     return (
-        f"{_tag('h3', gallery.title)}{_paragraphs([gallery.text])}"
+        f"{_tag('h3', gallery.title)}"
         f'<div class="{"strip" if captions else "charts"}">{pictures}</div>{end}'
     )
 

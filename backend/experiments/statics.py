@@ -32,7 +32,7 @@ from touchdown.backend.experiments.trials import (
     uniform_offset,
 )
 from touchdown.backend.geometry import face_points
-from touchdown.backend.learning import CONTACT_LEVEL
+from touchdown.backend.learning import CONTACT_LEVEL, overlap_shares
 from touchdown.backend.placement import Belief, judge_stability
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import BatchedTrials, judge_release
@@ -219,8 +219,7 @@ def score_patches(
     _, mounting = np.unique(groups.mounting, return_inverse=True)
     scores = {}
     for name, patch in (("", groups.label[:, first:]), ("_true", groups.truth[:, first:])):
-        both, either = (predicted & patch).sum(-1), (predicted | patch).sum(-1)
-        iou = np.where(either == 0, 1.0, both / np.maximum(either, 1)).mean(axis=1)
+        iou = overlap_shares(predicted, patch).mean(axis=1)
         right = (predicted == patch).mean(axis=(1, 2))
         for what, values in (("iou", iou), ("accuracy", right)):
             means = np.bincount(mounting, values) / np.bincount(mounting)
@@ -268,7 +267,8 @@ def score_fused_verdicts(
                 cells, support = _support(belief, some, g, case)
                 promised.append(cells)
                 real.append(support)
-                iou.append(overlap_share(cells > CONTACT_LEVEL, support))
+                overlap = float(overlap_shares(cells > CONTACT_LEVEL, support))
+                iou.append(round(overlap, DIGITS))
     chart = reliability_curve(np.concatenate(promised), np.concatenate(real))
     if model.calibration is None:
         del verdicts["calibrated"]
@@ -283,9 +283,3 @@ def _support(
     centres = belief.map.cell_centres_mm()[covered]
     shift = groups.true_mm[g, 0] - groups.offset_mm[g, 0]
     return belief.map.probability[covered], case.bottoms[0].face.contains(centres + shift)
-
-
-def overlap_share(predicted: NDArray[np.bool_], real: NDArray[np.bool_]) -> float:
-    """Return the intersection over union, 1 if both are empty."""
-    either = int((predicted | real).sum())
-    return round(float((predicted & real).sum() / either), DIGITS) if either else 1.0

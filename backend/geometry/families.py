@@ -94,9 +94,6 @@ class ShapeFamily:
             mass_g=20.0,
             grip_height_mm=float(rng.uniform(27.0, 43.0)),
             width_mm=width,
-            fixed=False,
-            nominal=True,
-            sha256="",
             source="family",
         )
 
@@ -302,9 +299,6 @@ def fresh_bottom(seed: str, number: int) -> Piece:
         mass_g=float(rng.uniform(*FRESH_MASSES_G)),
         grip_height_mm=None,
         width_mm=WIDTH_MM,
-        fixed=False,
-        nominal=True,
-        sha256="",
         source="fresh outlines",
     )
 

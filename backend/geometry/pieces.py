@@ -275,10 +275,10 @@ class Piece:
     mass_g: float
     grip_height_mm: float | None
     width_mm: float
-    fixed: bool
-    nominal: bool
-    sha256: str
     source: str
+    fixed: bool = False
+    nominal: bool = True
+    sha256: str = ""
     surface: Surface = FLAT
 
     @property

@@ -26,6 +26,7 @@ from .metrics import EvaluationScores as EvaluationScores
 from .metrics import calibration_error as calibration_error
 from .metrics import clustered_interval as clustered_interval
 from .metrics import load_samples as load_samples
+from .metrics import overlap_shares as overlap_shares
 from .metrics import rate_interval as rate_interval
 from .metrics import stable_flags as stable_flags
 from .registry import HARDWARE_PROBES as HARDWARE_PROBES

@@ -24,11 +24,15 @@ Z_95 = 1.959964
 CONTACT_LEVEL = 0.5  # probability above which a point is predicted as contact [U]
 
 
+def overlap_shares(predicted: Bits, truth: Bits) -> FloatArray:
+    """Return the intersection over union (...,) of samples (..., N); 1 for an empty union."""
+    both, either = (predicted & truth).sum(axis=-1), (predicted | truth).sum(axis=-1)
+    return np.where(either == 0, 1.0, both / np.maximum(either, 1))
+
+
 def iou(predicted: Bits, truth: Bits) -> float:
-    """Return the mean intersection over union of samples (n, N); an empty union counts as 1."""
-    both = np.sum(predicted & truth, axis=1)
-    either = np.sum(predicted | truth, axis=1)
-    return float(np.mean(np.where(either == 0, 1.0, both / np.maximum(either, 1))))
+    """Return the mean intersection over union of samples (n, N)."""
+    return float(overlap_shares(predicted, truth).mean())
 
 
 def point_accuracy(predicted: Bits, truth: Bits) -> float:
@@ -225,8 +229,7 @@ def choose_samples(
     rows: TrainingRows, held_out: NDArray[np.int64], probability: NDArray[np.floating]
 ) -> list[SamplePrediction]:
     """Return up to 12 held-out episodes, evenly spread from the best to the worst IoU."""
-    each = [iou(probability[k : k + 1] > CONTACT_LEVEL, rows.patch[i : i + 1])
-            for k, i in enumerate(held_out.tolist())]  # fmt: skip
+    each = overlap_shares(probability > CONTACT_LEVEL, rows.patch[held_out]).tolist()
     order = np.argsort([-v for v in each], kind="stable")
     places = np.unique(np.linspace(0, len(order) - 1, min(MOST, len(order))).round().astype(int))
     found = []

@@ -91,7 +91,7 @@ class StackPresenter:
         bench = self._bench
         pieces = bench.catalogue.pieces
         heavy = form.piece in pieces and pieces[form.piece].mass_g >= LEAST_WEIGHED_G
-        run.show_weigh(heavy)
+        run.show_options(weigh=heavy, stages=form.strategy != "pick-and-place")
         withheld = self._withheld(form)
         request = stack_request(form)
         if not request.learned:

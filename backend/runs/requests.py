@@ -111,6 +111,7 @@ class StackRequest:
         mass. Needed for a piece whose centre of mass is unknown; refused below 100 g.
     staged : bool, default: False
         Open the jaws in held steps, and close them again if the piece begins to turn.
+        "pick-and-place" opens them at once.
 
     Examples
     --------
@@ -133,9 +134,6 @@ class StackRequest:
 
     def __post_init__(self) -> None:
         _check_request(self, strategy=StrategyChoice, mode=DecisionMode)
-        if self.staged and self.strategy == "pick-and-place":
-            fix = "Choose another strategy, or release at once."
-            raise InputError("Pick-and-place releases at once.", "staged", fix)
         if isinstance(self.bottoms, str):
             fix = f"Give a tuple of names, such as ('{self.bottoms}',)."
             raise InputError("The bottoms are a single text.", "bottoms", fix)
@@ -160,7 +158,7 @@ class StackRequest:
         strategy = "fused" if self.learned else self.strategy
         weigh = self.weigh or base.weigh
         given: dict[str, Any] = {"strategy": strategy, "mode": self.mode, "weigh": weigh}
-        if self.staged and not base.release.stages:
+        if self.staged and not base.release.stages and strategy != "pick-and-place":
             given["release"] = base.release.model_copy(update={"stages": STAGES})
         for group, values in LEARNED.get(self.strategy, {}).items():
             given[group] = getattr(base, group).model_copy(update=values)

@@ -70,7 +70,9 @@ class RunButtons:
 
 
 class RunPanel(base.Panel):
-    """Form and buttons of a run; ``chosen`` is emitted on another piece, bottom or strategy."""
+    """Form and buttons of a run; ``chosen`` is emitted on another piece, bottom, strategy or
+    release.
+    """
 
     chosen = Signal()
 
@@ -99,6 +101,7 @@ class RunPanel(base.Panel):
         self.row = base.flat_button("In a row", "List of planned runs (Ctrl+Shift+D)")
         for combo in (self._piece, self._bottom, self._under, self._strategy):
             combo.currentIndexChanged.connect(lambda _: self.chosen.emit())
+        self._staged.toggled.connect(lambda _: self.chosen.emit())
         base.describe(
             (self.pause, "Pause", "Pause at the next safe point, arm lifted (P)"),
             (self.cancel, "Cancel", "End the run: lift the arm, keep the grip"),
@@ -167,11 +170,11 @@ class RunPanel(base.Panel):
         self._certificate.setToolTip(scope)
         self._certificate.setAccessibleDescription(f"{text} {scope}")
 
-    def show_weigh(self, possible: bool) -> None:
-        """Offer to weigh the piece first; ``possible``: it is heavy enough."""
-        self._weigh.setVisible(possible)
-        if not possible:
-            self._weigh.setChecked(False)
+    def show_options(self, *, weigh: bool, stages: bool) -> None:
+        """Offer to weigh a piece that is heavy enough, and stages where the release is tested."""
+        for box, possible in ((self._weigh, weigh), (self._staged, stages)):
+            box.setVisible(possible)
+            box.setChecked(box.isChecked() and possible)
 
     def show_signals(self, text: str) -> None:
         """Show how the signals compare with their calibration; "" hides the line."""

@@ -54,6 +54,7 @@ def test_start_hands_over_what_is_filled_in_and_remembers_it(live, bench, page, 
     assert kept.pages["stack"]["mode"] == "step", "a crash does not bring the automatic mode back"
     assert stack_request(RunForm(bottom="short", under="")).bottoms == ("short",)
     assert stack_request(RunForm(weigh=True)).weigh
+    assert stack_request(RunForm(staged=True)).staged
 
 
 def test_a_weighed_centre_of_mass_is_shown_before_the_first_probe_and_on_the_map(live, bench, page):

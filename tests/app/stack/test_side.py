@@ -358,6 +358,18 @@ def test_certificate_of_the_form_is_shown_with_its_reason(live, bench):
     assert shown.isVisibleTo(run)
 
 
+def test_stages_are_offered_where_the_release_is_tested(live, bench):
+    live.go("stack")
+    run = live.workspaces["stack"].page.run
+    run._staged.setChecked(True)
+    assert run.form().staged
+    run.show_form(replace(run.form(), strategy="pick-and-place"))
+    assert not run._staged.isVisibleTo(run)
+    assert not run.form().staged
+    run.show_form(replace(run.form(), strategy="fused"))
+    assert run._staged.isVisibleTo(run)
+
+
 def test_weighing_is_offered_for_a_piece_that_is_heavy_enough(live, bench):
     live.go("stack")
     run = live.workspaces["stack"].page.run

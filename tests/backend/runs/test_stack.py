@@ -362,6 +362,16 @@ def test_a_weak_watch_refuses_the_release(monkeypatch):
     assert bench.benches[-1].gripper.status().holding
 
 
+def test_a_staged_request_opens_in_stages_unless_the_method_says_how():
+    base = StackSettings()
+    assert StackRequest(staged=True).method(base).release.stages == 38
+    assert StackRequest().method(base).release == base.release
+    own = base.model_copy(update={"release": base.release.model_copy(update={"stages": 12})})
+    assert StackRequest(staged=True).method(own).release == own.release
+    blind = StackRequest(staged=True, strategy="pick-and-place")
+    assert blind.method(base).release == base.release
+
+
 def test_the_certificate_covers_stages_only_if_they_were_used():
     method = StackSettings()
     other = {"turn_sigmas": 5.0, "regrasp_sigma_mm": 1.0, "stage_mm": 0.05, "lean_sigmas": 3.0}

@@ -259,7 +259,7 @@ class ReleaseSettings(Settings):
     # Steps of the jaws, each held for 1 s while the piece is watched; 0: they open at once [U].
     stages: Annotated[int, Field(ge=0, le=40)] = 0
     stage_mm: Annotated[float, Field(gt=0, le=0.1)] = 0.1  # step of the width
-    turn_sigmas: Annotated[float, Field(gt=0, le=100)] = 10.0  # change that counts as a turn
+    turn_sigmas: Annotated[float, Field(gt=0, le=100)] = 12.0  # change that counts as a turn
     lean_sigmas: Annotated[float, Field(gt=0, le=100)] = 4.0  # load after the steps that does
     regrasp_sigma_mm: NonNegative = 0.3  # of the piece in a new grip, for the evidence before it
 

@@ -26,6 +26,7 @@ SQUEEZE_TIME_S = 0.1  # time from touching the piece to full force
 WEIGH_CYCLE_US = 1_000_000
 POSE_CYCLES = 6  # from one pose of a weighing to the next, as long as the simulated arm needs
 LET_GO_MM = 0.1  # jaws that open at once release the piece when wider than it by this much
+AGAIN_MM_S = 40.0  # speed at which loosened jaws close again
 STEP_MM = 0.15  # jaws that open by less in one command loosen the grip
 
 
@@ -65,7 +66,7 @@ class SimulatedJaws:
         with self._lock:
             self._target_mm = self._piece_mm if self.piece_present else 0.0
             way = max(self.width_mm - self._target_mm, 0.0)
-            self._speed_mm_s = -max(way / CLOSING_TIME_S, 1.0)
+            self._speed_mm_s = -max(way / CLOSING_TIME_S, AGAIN_MM_S if self.loosened else 1.0)
             self.asked_n = force_n
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> None:

@@ -138,7 +138,7 @@ class GuardedArm(_Guarded):
         self._interlock.require_motion(self._now_s())
         if self._interlock.staged is not None:
             raise RefusedError(
-                "JAWS-LOOSE", "The jaws are opening in stages: the arm stands still."
+                "JAWS-LOOSE", "The jaws opened in stages: grip or open before the arm moves."
             )
         if self._arm.status().robot_mode is RobotMode.SERVO_OFF:
             raise RefusedError("SERVO-OFF", "The servo of the arm is off: switch it on first.")
@@ -338,7 +338,8 @@ class GuardedGripper(_Guarded):
         self._gripper, self._interlock, self._now_s = gripper, interlock, now_s
         self.grips: int = 0
         self.letting_go: bool = False
-        self._closing: Motion | None = None  # of loosened jaws after a stop
+        self._closing: Motion | None = None  # of loosened jaws
+        self._stopping = threading.RLock()
         interlock.on_stop(self._stop_jaws)
 
     def status(self) -> GripStatus:
@@ -346,19 +347,22 @@ class GuardedGripper(_Guarded):
         return self._gripper.status()
 
     def grip(self, force_n: float) -> Motion:
-        """Grip with ``force_n`` per finger."""
+        """Grip with ``force_n`` per finger. A stop does not interrupt the grip of loosened jaws."""
         self._interlock.require_motion(self._now_s())
         self.grips, self.letting_go = self.grips + 1, False
-        self._interlock.staged = None
-        return self._gripper.grip(force_n)
+        gripping = self._gripper.grip(force_n)
+        if self._interlock.staged is not None:
+            self._closing, self._interlock.staged = gripping, None
+        return gripping
 
     def open_to(self, width_mm: float, speed_mm_s: float) -> Motion:
         """Open while nothing is held; refused while a piece is held (see ``release``)."""
         self._interlock.require_motion(self._now_s())
         if self._gripper.status().holding:
             raise RefusedError("HOLDING", "A piece is held: the gripper opens only for a release.")
+        opening = self._gripper.open_to(width_mm, speed_mm_s)
         self._interlock.staged = None
-        return self._gripper.open_to(width_mm, speed_mm_s)
+        return opening
 
     def open_step(
         self,
@@ -390,6 +394,8 @@ class GuardedGripper(_Guarded):
         else:
             opening = self._gripper.open_to(width_mm, speed_mm_s)
         lock.staged, self.letting_go = staged, True
+        if lock.latched:
+            self._stop_jaws()  # a stop that came meanwhile did not close them
         return opening
 
     def open_by_hand(self, width_mm: float, speed_mm_s: float, *, confirmed: bool) -> Motion:
@@ -421,7 +427,7 @@ class GuardedGripper(_Guarded):
             opening = self._gripper.open_held(right, width_mm, speed_mm_s)
         else:
             opening = self._gripper.open_to(width_mm, speed_mm_s)
-        self.letting_go = True
+        self._interlock.staged, self.letting_go = None, True
         return opening
 
     def stop(self) -> None:
@@ -429,9 +435,10 @@ class GuardedGripper(_Guarded):
         self._interlock.stop()
 
     def _stop_jaws(self) -> None:
-        staged, self._interlock.staged = self._interlock.staged, None
-        if staged is not None:
-            self.grips, self.letting_go = self.grips + 1, False
-        # A gripper with a rig of its own closes there.
-        there = isinstance(self._gripper, AuthorisedGripper)
-        self._closing = stop_jaws(self._gripper, None if there else staged, self._closing)
+        with self._stopping:
+            staged, self._interlock.staged = self._interlock.staged, None
+            if staged is not None:
+                self.grips, self.letting_go = self.grips + 1, False
+            # A gripper with a rig of its own closes there.
+            there = isinstance(self._gripper, AuthorisedGripper)
+            self._closing = stop_jaws(self._gripper, None if there else staged, self._closing)

@@ -257,6 +257,7 @@ class Interlock:
                 self.faults = (*self.faults, fault)
             stoppers = tuple(self._stoppers)
             stopped = bool(self.stopped_by) or not codes | {fault.code} <= RETREAT_FAULTS
+            stopped = stopped or self.staged is not None  # the arm stands until the jaws hold
         for stopper, retreat in stoppers:
             if stopped or retreat is None:
                 stopper()

@@ -121,7 +121,7 @@ class RigHost:
         self._core = safety.Failsafe(now_s(), limits)
         self._lock = threading.RLock()
         self._showing, self._noting = threading.Lock(), threading.Lock()
-        self._orders = safety.DriverCommands(devices.arm, devices.gripper, self.measured, now_s)
+        self.orders = safety.DriverCommands(devices.arm, devices.gripper, self.measured, now_s)
         self._motions: list[_RunningMotion] = []
         self._cancel = threading.Event()
         self._gone = False
@@ -185,7 +185,7 @@ class RigHost:
     def _stop(self, now_s: float, why: str) -> None:
         self._note(now_s, why)
         self.devices.arm.stop()
-        self._orders.stop_gripper()
+        self.orders.stop_gripper()
 
     def _draw_back(self) -> None:
         self._note(self._now_s(), "retreat")
@@ -281,7 +281,8 @@ class RigHost:
         elif kind == "retreat":
             self._draw_back()
         elif kind == "stop gripper":
-            self._orders.stop_gripper()
+            with self._lock:
+                self.orders.stop_gripper()
         elif kind == "cancel":
             self._cancel.set()
         elif kind == "reset":
@@ -295,7 +296,7 @@ class RigHost:
         """Stop immediately, on the thread that detected the loss of the backend, and leave."""
         try:
             self.devices.arm.stop()
-            self._orders.stop_gripper()
+            self.orders.stop_gripper()
         finally:
             self.leave()
 
@@ -337,14 +338,14 @@ class RigHost:
             self.devices.named()[device].close()
             return None
         if name not in safety.MOVES | safety.JAWS:
-            return self._orders.give(name, given, self._core.limits)
+            return self.orders.give(name, given, self._core.limits)
         with self._lock:
             self._core.refuse(self._now_s(), message["lease_until_s"])
             if name in safety.MOVES:
                 self._core.refuse_unfelt(self._now_s())
             stops = self._core.stops
         try:
-            return self._orders.give(name, given, self._core.limits)
+            return self.orders.give(name, given, self._core.limits)
         finally:
             with self._lock:
                 # A STOP that came while the motion was starting has not reached it.

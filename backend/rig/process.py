@@ -29,6 +29,7 @@ from touchdown.backend.rig.messages import Channel, Message, ParentProcess, erro
 
 ROUND_S = 0.004
 END_S = 0.03  # the end packets of the stream need three cycles
+CLOSING_S = 1.0  # limit for loosened jaws to close
 FAREWELL_S = 3.0  # limit for closing the devices after the backend is gone
 CAPACITY = 32_768
 
@@ -150,13 +151,16 @@ def _run_cycles(host: RigHost, parent: ParentProcess) -> None:
 
 
 def _end(host: RigHost) -> None:
-    """Stop, wait for the end packets of the stream, then close the devices that answer. A device
-    that is being connected is closed afterwards: no device is used by two threads.
+    """Stop, wait for the end packets of the stream and for closing jaws, then close the devices
+    that answer. A device that is being connected is closed afterwards: no device is used by two
+    threads.
     """
     host.leave()
     host.devices.arm.stop()
-    host.devices.gripper.stop()
+    closing, end_s = host.orders.stop_gripper(), time.monotonic() + CLOSING_S
     threading.Event().wait(END_S)
+    while closing is not None and not closing.done and time.monotonic() < end_s:
+        threading.Event().wait(END_S)
 
     def close(name: str) -> None:
         if host.workers.idle(name, FAREWELL_S):

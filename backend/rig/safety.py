@@ -219,7 +219,7 @@ class DriverCommands:
     measured: Callable[[], RigMeasurement]
     now_s: Callable[[], float]
     staged: StagedOpening | None = None
-    closing: Motion | None = None  # of loosened jaws after a stop
+    closing: Motion | None = None  # of loosened jaws
 
     def give(self, name: str, given: Arguments, limits: Limits) -> Motion | list[float] | None:
         """Execute command ``name``; return its motion, a value, or None."""
@@ -227,7 +227,7 @@ class DriverCommands:
             return self._move_gripper(name, given)
         if name in MOVES and self.staged is not None:
             raise RefusedError(
-                "JAWS-LOOSE", "The jaws are opening in stages: the arm stands still."
+                "JAWS-LOOSE", "The jaws opened in stages: grip or open before the arm moves."
             )
         match name:
             case "arm.servo":
@@ -280,19 +280,20 @@ class DriverCommands:
         gripper = self.gripper
         match name:
             case "gripper.grip":
-                self.staged = None
-                return gripper.grip(given["force_n"])
+                gripping = gripper.grip(given["force_n"])
+                if self.staged is not None:
+                    self.closing, self.staged = gripping, None
+                return gripping
             case "gripper.open_to":
                 if gripper.status().holding:
                     raise RefusedError(
                         "HOLDING",
                         "A piece is held: the gripper opens only for an authorised release.",
                     )
-                self.staged = None
-                return gripper.open_to(given["width_mm"], given["speed_mm_s"])
+                return self._open(given)
             case "gripper.open_held":
                 refuse_opening(RIGHTS[given["right"]](**given["evidence"]), self.measured())
-                return gripper.open_to(given["width_mm"], given["speed_mm_s"])
+                return self._open(given)
             case "gripper.open_step":
                 return self._open_step(given)
             case "gripper.home" | "gripper.acknowledge":
@@ -303,6 +304,11 @@ class DriverCommands:
                 gripper.acknowledge()
                 return None
         raise ValueError(f"there is no order {name!r}")
+
+    def _open(self, given: Arguments) -> Motion:
+        opening = self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
+        self.staged = None
+        return opening
 
     def _open_step(self, given: Arguments) -> Motion:
         measured, staged = self.measured(), self.staged
@@ -317,10 +323,11 @@ class DriverCommands:
         self.staged = staged
         return self.gripper.open_to(given["width_mm"], given["speed_mm_s"])
 
-    def stop_gripper(self) -> None:
-        """Stop the jaws and keep the grip; close loosened jaws."""
+    def stop_gripper(self) -> Motion | None:
+        """Stop the jaws and keep the grip; close loosened jaws and return this motion."""
         staged, self.staged = self.staged, None
         self.closing = stop_jaws(self.gripper, staged, self.closing)
+        return self.closing
 
 
 def _refuse_fast(name: str, speed: float, most: float) -> None:

@@ -70,6 +70,7 @@ REFERENCE_S = 5.0  # time limit of a reference; smears on single markers last up
 GRIP_S = 5.0
 MOVE_S = 30.0  # time limit of a move at full speed; scaled by the override
 LEASE_TRIES, AGAIN_S = 3, 0.1
+NO_PART = "WSG-NO-PART"  # fault code of jaws that closed on nothing
 UNLEASED = ("NO-LEASE", "LEASE-LAPSED")  # codes of a lapsed motion lease
 # Largest age of the wrench at release beyond the sensor's own delay: 1.5 control cycles of 10 ms
 WRENCH_AGE_LIMIT_S = 0.015
@@ -159,6 +160,18 @@ def take_piece(bench: Bench) -> Plan[None]:
     yield from wait(bench, SETTLE_S)
     if not bench.gripper.status().holding:
         raise core.RefusedError("NO-PIECE", NO_PIECE)
+
+
+def hold_again(bench: Bench) -> Plan[bool]:
+    """Close loosened jaws; return True if they hold the piece, False if it is gone."""
+    grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
+    try:
+        yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
+    except core.FaultError as error:
+        if bench.interlock.latched or error.fault.code != NO_PART:
+            raise
+    yield from wait(bench, SETTLE_S)
+    return bench.gripper.status().holding
 
 
 def zero_sensors(bench: Bench, probe: int) -> Plan[None]:
@@ -359,6 +372,11 @@ def run_finished(bench: Bench, run_id: str, ended: PlanEnd[R], done: str) -> cor
 
 
 def _retreat(bench: Bench) -> Plan[None]:
-    """Lift straight off if the bench may still move; the piece stays in the gripper."""
+    """Lift straight off if the bench may still move; the piece stays in the gripper.
+
+    Jaws that an opening in stages has loosened close first.
+    """
+    if bench.interlock.staged is not None and not bench.interlock.latched:
+        yield from hold_again(bench)
     if bench.gripper.status().holding and not bench.interlock.latched:
         yield from lift(bench, bench.status().probe)

@@ -32,7 +32,7 @@ REST_S = 1.0  # time limit for the arm to come to rest
 UNLOAD_N, REST_STAGED_S = (0.8, 1.9), 1.2
 FRAME_S = 0.04
 OFFSET_N, OFFSET_NM = 0.2, 0.008  # slow offset of the wrist since the tare, standard deviations
-UNWATCHED = "The piece cannot be watched: too few frames or wrench samples at rest."
+UNWATCHED = "The piece cannot be watched: too few frames or wrench samples."
 
 
 def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[bool]:
@@ -81,15 +81,16 @@ def _open_in_stages(
             force_n=force_n,
             moved_mm=moved_mm,
         )
-        until_s = bench.now_s() + STAGE_S
-        yield from motion_done(opening, motions.MOVE_S, "the gripper to open by a step")
-        since_s = bench.now_s() + FRAME_S
+        yield from motion_done(opening, motions.GRIP_S, "the gripper to open by a step")
+        since_s, until_s = bench.now_s() + FRAME_S, bench.now_s() + STAGE_S
         turned = partial(_has_turned, bench, watch, since_s)
         over = partial(_is_over, bench, until_s, turned)
         yield Wait(over, 2.0 * STAGE_S, "the next step")
-        watch.keep(since_s, bench.now_s())
+        watched = watch.keep(since_s, bench.now_s())
         if turned() or (step == settings.stages and _leans(bench, watch)):
             return (yield from _hold_again(bench, probe, step))
+        if not watched:
+            raise core.RefusedError("NOT-WATCHED", UNWATCHED)
     wide_mm = bench.gripper.status().width_mm + 2.0 * settings.clearance_mm
     yield from _open_wide(bench, probe, bench.gripper.open_to(wide_mm, settings.open_mm_s))
     return True
@@ -133,14 +134,7 @@ def _hold_again(bench: Bench, probe: int, step: int) -> Plan[bool]:
     opened_mm = step * bench.settings.release.stage_mm
     text = f"Probe {probe}: the piece begins to turn with the jaws opened by {opened_mm:.1f} mm: "
     yield core.Said(bench.now_s(), f"{text}closing them.")
-    grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
-    try:
-        yield from motion_done(grip, motions.GRIP_S, "the gripper to hold the piece")
-    except core.FaultError:
-        if bench.interlock.latched:
-            raise
-    yield from motions.wait(bench, motions.SETTLE_S)
-    if bench.gripper.status().holding:
+    if (yield from motions.hold_again(bench)):
         bench.sensing.forget_references()
         return False
     yield core.Said(

@@ -127,7 +127,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
                 return ended
             if isinstance(strategy, GraspStrategy):
                 strategy.regrasped(bench.settings.release.regrasp_sigma_mm)
-            turns += 1
+            turns, approved = turns + 1, False
             if turns == MOST_TURNS:
                 return TrialResult(core.Outcome.GAVE_UP, TURNED, probe)
             continue

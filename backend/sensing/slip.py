@@ -200,7 +200,7 @@ def slip_since_loading(
 
 
 FIRST_FRAMES = 3  # frames after a step of the jaws that later ones are compared with
-LEAST_REST_FRAMES = 15
+LEAST_REST_FRAMES, LEAST_HOLD_FRAMES = 15, 8
 FREE_STEPS = 5  # the last steps of an opening in stages, in which the pads are free
 # Random walks of a whole marker field (px) and of the wrist (N, N·m) in a second: docs/bench-v1.md
 FIELD_WALK_PX, FORCE_WALK_N, MOMENT_WALK_NM = 0.02, 0.0013, 0.00006
@@ -235,9 +235,10 @@ class TurnDetector:
         rows = self._signals(since_s, now_s)
         return self._change(rows[:FIRST_FRAMES], rows[FIRST_FRAMES:])
 
-    def keep(self, since_s: float, now_s: float) -> None:
-        """Keep the signals of the hold that ends now, for ``growth``."""
+    def keep(self, since_s: float, now_s: float) -> bool:
+        """Keep the signals of the hold that ends now, for ``growth``; False with too few frames."""
         self._holds.append(self._signals(since_s, now_s))
+        return len(self._holds[-1]) >= LEAST_HOLD_FRAMES
 
     def growth(self) -> float:
         """Return the change from an earlier hold, with free pads, to the last one kept."""

@@ -18,6 +18,7 @@ from touchdown.backend.devices.interlock import (
     JigEvidence,
     Limits,
     ReleaseEvidence,
+    StagedOpening,
     distance_to_limit_mm,
     fastest_mm_s,
     jig_refusal,
@@ -337,9 +338,9 @@ def test_each_condition_over_the_jig_refuses_alone(name, change) -> None:
 
 
 class NotedGripper:
-    """Notes its orders; ``fails``: it refuses to grip."""
+    """Notes its orders; ``fails``: it refuses them. ``meanwhile`` is called in an opening."""
 
-    name, fails = "gripper", False
+    name, fails, meanwhile = "gripper", False, staticmethod(lambda: None)
 
     def __init__(self):
         self.orders, self.width_mm = [], 30.0
@@ -348,6 +349,9 @@ class NotedGripper:
         return GripStatus(self.width_mm, 10.0, not self.orders)
 
     def open_to(self, width_mm, speed_mm_s):
+        if self.fails:
+            raise RefusedError("NO", "no")
+        self.meanwhile()
         self.orders.append(("open", width_mm))
         return CommandedMotion({})
 
@@ -449,10 +453,49 @@ def test_stop_and_faults_close_loosened_jaws_and_only_these():
 
 
 def test_a_grip_or_an_opening_at_once_ends_the_stages():
-    for end in (lambda g: g.grip(8.0), lambda g: g.open_to(60.0, 5.0)):
+    for end in (
+        lambda g: g.grip(8.0),
+        lambda g: g.open_to(60.0, 5.0),
+        lambda g: g.open_by_hand(60.0, 5.0, confirmed=True),
+    ):
         jaws = Staged()
         jaws.step(30.1, GOOD)
-        end(jaws.gripper)
+        motion = end(jaws.gripper)
         assert jaws.lock.staged is None
+        motion.end()
         jaws.lock.stop()
         assert jaws.noted.orders[-1] == ("stop",)
+
+
+def test_a_stop_does_not_interrupt_the_grip_of_loosened_jaws():
+    jaws = Staged()
+    jaws.step(30.1, GOOD)
+    jaws.gripper.grip(8.0)
+    jaws.lock.stop()
+    assert jaws.noted.orders[1:] == [("grip", 8.0)]
+
+
+def test_a_stop_that_comes_during_the_order_of_a_step_closes_the_jaws():
+    jaws = Staged()
+    jaws.noted.meanwhile = jaws.lock.stop
+    jaws.step(30.1, GOOD)
+    assert jaws.noted.orders[-1] == ("grip", 8.0)
+    assert (jaws.lock.staged, jaws.gripper.letting_go) == (None, False)
+
+
+def test_a_gripper_that_refuses_to_grip_or_open_leaves_the_stages_in_progress():
+    for order in ("grip", "open_to"):
+        jaws = Staged()
+        jaws.step(30.1, GOOD)
+        jaws.noted.fails = True
+        with pytest.raises(RefusedError):
+            getattr(jaws.gripper, order)(*(8.0, 5.0)[: 1 + (order == "open_to")])
+        assert jaws.lock.staged is not None
+
+
+def test_the_arm_stops_instead_of_retreating_while_the_jaws_are_loose():
+    done, lock = [], Interlock()
+    lock.on_stop(lambda: done.append("stop"), lambda: done.append("retreat"))
+    lock.staged = StagedOpening(30.0, 8.0)
+    lock.raise_fault(replace(FAULT, code="FT-TRIP"))
+    assert done == ["stop"]

@@ -5,6 +5,8 @@ import math
 import signal
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from tests.backend.devices.test_interlock import GOOD
 from tests.backend.rig.hosted import reason
 from touchdown.backend.core import FaultError, FaultRaised, RunFinished, RunStarted
 from touchdown.backend.devices.protocols import DeviceState, GripStatus, RobotMode
+from touchdown.backend.rig import process
 from touchdown.backend.rig.flight_recorder import RESERVED_BYTES, FlightRecorder, ReservedFile
 from touchdown.backend.rig.link import GONE
 from touchdown.backend.rig.memory import STOPS, drop, make
@@ -343,6 +346,29 @@ def test_a_stop_of_the_rig_closes_loosened_jaws(rig, by):
     rig.rounds(0.02)
     rig.host.take({"kind": "stop gripper"})
     assert rig.log[1:] == ["grip 8.0"]
+
+
+@pytest.mark.parametrize("by", ["grip", "stop"])
+def test_closing_jaws_are_not_interrupted_by_a_stop_or_by_the_end_of_the_process(rig, by):
+    rig.order("gripper.open_step", **stage(rig))
+    if by == "grip":
+        rig.order("gripper.grip", force_n=8.0)
+    rig.host.take({"kind": "stop", "stops": 1})
+    ended = threading.Event()
+    rig.gripper.stop = ended.set
+    closing = rig.host.orders.closing
+    threading.Timer(0.2, closing.end).start()
+    begun_s = time.monotonic()
+    process._end(rig.host)
+    assert time.monotonic() - begun_s >= 0.2
+    assert (rig.log[1:2], ended.is_set()) == (["grip 8.0"], False)
+
+
+def test_an_opening_by_hand_ends_the_stages_of_the_rig(rig):
+    rig.order("gripper.open_step", **stage(rig))
+    hand = {"right": "ByHand", "evidence": {"confirmed": True}}
+    rig.order("gripper.open_held", **hand, width_mm=50.0, speed_mm_s=10.0)
+    rig.lift()
 
 
 def test_the_width_of_a_grip_is_the_one_at_which_the_jaws_stand(rig):

@@ -23,6 +23,7 @@ from touchdown.backend.core import (
     Said,
     TrialFinished,
 )
+from touchdown.backend.devices import GuardedGripper
 from touchdown.backend.experiments.run_report import run_text
 from touchdown.backend.geometry import load_pieces, regions
 from touchdown.backend.learning.fused import Guard, GuardCalibration, method_sha256
@@ -38,6 +39,8 @@ from touchdown.backend.runs import (
 )
 from touchdown.backend.runs.stack import certificate_status, check_pieces
 from touchdown.backend.sensing.slip import TurnDetector
+from touchdown.backend.simulation.devices.end_effector import SimGripper
+from touchdown.backend.simulation.gripper import JawEvents, SimulatedJaws
 
 BOLD = {"risk": 0.999, "first_risk": 0.0, "inset_mm": 0.0}  # releases at the first place
 SHY = {"risk": 1e-6, "inset_mm": 6.0}  # never does
@@ -289,8 +292,8 @@ def staged_bench(monkeypatch, *turns, stages=2):
     return bench
 
 
-def staged_trial(bench):
-    bench.session.run(request())
+def staged_trial(bench, **asked):
+    bench.session.run(request(**asked))
     (end,) = bench.of(TrialFinished)
     return end, [said.text for said in bench.of(Said) if "turn" in said.text]
 
@@ -352,6 +355,84 @@ def test_stop_during_the_stages_closes_the_jaws(monkeypatch):
     devices.advance(1_500_000)
     assert devices.gripper.status().holding
     assert not bench.of(Released)
+
+
+def test_stop_does_not_interrupt_jaws_that_close_because_the_piece_turns(monkeypatch):
+    bench = staged_bench(monkeypatch, True)
+    session, grip = bench.session, GuardedGripper.grip
+
+    def grip_and_stop(gripper, force_n):
+        loosened = session.interlock.staged is not None
+        gripping = grip(gripper, force_n)
+        if loosened:
+            session.stop()
+        return gripping
+
+    monkeypatch.setattr(GuardedGripper, "grip", grip_and_stop)
+    assert session.run(request()).ending == "stopped"
+    devices = bench.benches[-1]
+    devices.advance(1_500_000)
+    assert devices.gripper.status().holding
+
+
+def blind(*_):
+    return None
+
+
+@pytest.mark.parametrize("why", ["cancel", "refusal", "no markers", "still holding"])
+def test_a_run_that_ends_during_the_stages_closes_the_jaws_and_lifts(monkeypatch, why):
+    bench = staged_bench(monkeypatch, False, stages=3)
+    keep, status, step = TurnDetector.keep, SimGripper.status, []
+
+    def kept(*given):
+        if why == "cancel":
+            bench.session.engine.cancel()
+        elif why == "refusal":
+            monkeypatch.setattr(release, "travelled_mm", lambda _: float("nan"))
+        elif why == "no markers":
+            monkeypatch.setattr("touchdown.backend.sensing.slip._marker_motion", blind)
+        step.append(bench.benches[-1].arm.pose(1.0).z_mm)
+        return keep(*given)
+
+    def held(gripper):
+        told = status(gripper)
+        return replace(told, holding=told.holding or gripper._world.jaws.loosened)
+
+    monkeypatch.setattr(TurnDetector, "keep", kept)
+    if why == "still holding":
+        monkeypatch.setattr(SimGripper, "status", held)
+    end, _ = staged_trial(bench)
+    assert end.outcome is Outcome.ABORTED
+    refused = {"refusal": "ARM-MOVING", "no markers": "NOT-WATCHED", "still holding": "HOLDING"}
+    assert refused.get(why, "cancelled") in end.reason
+    devices, interlock = bench.benches[-1], bench.session.interlock
+    assert (interlock.latched, interlock.staged) == (False, None)
+    assert devices._world.jaws.holding
+    assert devices.arm.pose(1.0).z_mm > step[0] + 1.0, "lifted"
+
+
+def test_a_gripper_that_does_not_close_again_is_a_fault_and_opens_no_further(monkeypatch):
+    bench = staged_bench(monkeypatch, True)
+
+    def jam(event):
+        if isinstance(event, Said) and "closing them" in event.text:
+            monkeypatch.setattr(SimulatedJaws, "step", lambda *_: JawEvents())
+
+    bench.session.events.subscribe(jam)
+    end, _ = staged_trial(bench)
+    assert (end.outcome, bench.of(Released)) == (Outcome.ABORTED, [])
+    assert [fault.code for fault in bench.session.interlock.faults] == ["TIMEOUT"]
+    assert not any("closed on nothing" in said.text for said in bench.of(Said))
+
+
+def test_a_new_grip_needs_a_new_approval(monkeypatch):
+    bench = staged_bench(monkeypatch, True, False)
+    bench.session.prompt.attended = True
+    on(bench.session, ApprovalAwaited, lambda _: bench.session.answer(True))
+    end, _ = staged_trial(bench, mode="approve")
+    assert end.outcome is Outcome.PLACED
+    asked = [event.action.kind for event in bench.of(ApprovalAwaited)]
+    assert asked.count("release") == 2
 
 
 def test_a_weak_watch_refuses_the_release(monkeypatch):

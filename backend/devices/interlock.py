@@ -153,6 +153,9 @@ class StagedOpening:
         self._width_mm, self._stepped_s = width_mm, now_s
 
 
+CLOSES = "Motion stopped; the jaws had opened in stages and are told to close."
+
+
 def stop_jaws(
     gripper: Gripper, staged: StagedOpening | None, closing: Motion | None
 ) -> Motion | None:
@@ -254,6 +257,8 @@ class Interlock:
                 known = {fault.device, *(f.device for f in self.faults)}
                 others = [text for device, text in self.late.items() if device not in known]
                 fault = replace(fault, what=" ".join([fault.what, *others]))
+                if self.staged is not None:
+                    fault = replace(fault, consequence=CLOSES)
                 self.faults = (*self.faults, fault)
             stoppers = tuple(self._stoppers)
             stopped = bool(self.stopped_by) or not codes | {fault.code} <= RETREAT_FAULTS

@@ -358,8 +358,8 @@ def run_to_end(bench: Bench, plan: Plan[R]) -> Plan[PlanEnd[R]]:
         # A fault that stopped the arm shows as an interrupted motion: report its cause.
         faults = bench.interlock.faults
         found = stale_fault(cause) if isinstance(cause, core.StaleSampleError) else cause.fault
-        first = core.FaultError(faults[0] if faults else found)
-        bench.interlock.raise_fault(first.fault)
+        bench.interlock.raise_fault(faults[0] if faults else found)
+        first = core.FaultError((bench.interlock.faults or (found,))[0])
         yield core.FaultRaised(bench.now_s(), first.fault)
         return PlanEnd(None, "failed", str(first))
     return PlanEnd(value)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from touchdown.backend.core import Fault, Pose, RefusedError, SampleStream
 from touchdown.backend.devices.guarded_devices import GuardedGripper
 from touchdown.backend.devices.interlock import (
+    CLOSES,
     LEASE_S,
     VERDICT_ROWS,
     Interlock,
@@ -499,3 +500,4 @@ def test_the_arm_stops_instead_of_retreating_while_the_jaws_are_loose():
     lock.staged = StagedOpening(30.0, 8.0)
     lock.raise_fault(replace(FAULT, code="FT-TRIP"))
     assert done == ["stop"]
+    assert lock.faults[0].consequence == CLOSES

@@ -14,7 +14,9 @@ from touchdown.backend.config.method import FusedSettings, PolicySettings, Stack
 from touchdown.backend.core import (
     ActionChosen,
     ApprovalAwaited,
+    Fault,
     FaultError,
+    FaultRaised,
     InputError,
     Outcome,
     PhaseEntered,
@@ -24,6 +26,7 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.devices import GuardedGripper
+from touchdown.backend.devices.interlock import CLOSES
 from touchdown.backend.experiments.run_report import run_text
 from touchdown.backend.geometry import load_pieces, regions
 from touchdown.backend.learning.fused import Guard, GuardCalibration, method_sha256
@@ -423,6 +426,19 @@ def test_a_gripper_that_does_not_close_again_is_a_fault_and_opens_no_further(mon
     assert (end.outcome, bench.of(Released)) == (Outcome.ABORTED, [])
     assert [fault.code for fault in bench.session.interlock.faults] == ["TIMEOUT"]
     assert not any("closed on nothing" in said.text for said in bench.of(Said))
+
+
+def test_a_fault_during_the_stages_tells_that_the_jaws_close(monkeypatch):
+    bench = staged_bench(monkeypatch, False)
+    fault = Fault("TIMEOUT", "Late.", "The gripper was not opened.", "Wait.")
+
+    def late(*_):
+        raise FaultError(fault)
+
+    monkeypatch.setattr(TurnDetector, "keep", late)
+    staged_trial(bench)
+    (raised,) = bench.of(FaultRaised)
+    assert raised.fault.consequence == CLOSES
 
 
 def test_a_new_grip_needs_a_new_approval(monkeypatch):

@@ -141,8 +141,11 @@ class StagedOpening:
 
         ``moved_mm`` is the largest travel of the standing arm (``travelled_mm``). NaN is refused.
         """
+        if not 0.0 < self.force_n < math.inf:
+            raise RefusedError("STAGE-FORCE", "The jaws could not close again without a force.")
         step_mm = width_mm - self._width_mm
-        if not 0.0 < step_mm <= STAGE_MM + WIDTH_NOISE_MM:
+        noise_mm = WIDTH_NOISE_MM if math.isinf(self._stepped_s) else 1e-6  # of the measured width
+        if not 0.0 < step_mm <= STAGE_MM + noise_mm:
             raise RefusedError("STAGE-STEP", f"{step_mm:.2f} mm is not within 0 to {STAGE_MM} mm.")
         if not width_mm - self._gripped_mm <= STAGES_MM:
             raise RefusedError("STAGE-WIDTH", f"The jaws would open by more than {STAGES_MM} mm.")

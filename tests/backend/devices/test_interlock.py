@@ -374,9 +374,9 @@ class Staged:
         self.noted, self.lock, self.now_s = NotedGripper(), Interlock(), 1.0
         self.gripper = GuardedGripper(self.noted, self.lock, lambda: self.now_s)
 
-    def step(self, width_mm, evidence=None, moved_mm=0.0):
+    def step(self, width_mm, evidence=None, moved_mm=0.0, force_n=8.0):
         self.lock.renew_lease(self.now_s)
-        return self.gripper.open_step(evidence, width_mm, 5.0, force_n=8.0, moved_mm=moved_mm)
+        return self.gripper.open_step(evidence, width_mm, 5.0, force_n=force_n, moved_mm=moved_mm)
 
     def refusal(self, *given, **more):
         with pytest.raises(RefusedError) as caught:
@@ -389,6 +389,8 @@ def test_an_opening_in_stages_begins_with_the_conditions_of_a_release():
     assert jaws.refusal(30.1) == "NOT-STAGED"
     assert jaws.refusal(30.1, replace(GOOD, holding=False)) == "NOT-HOLDING"
     assert jaws.refusal(30.1, replace(GOOD, verdict_stable=False)) == "VERDICT-NOT-STABLE"
+    assert jaws.refusal(30.16, GOOD) == "STAGE-STEP"
+    assert jaws.refusal(30.1, GOOD, force_n=math.nan) == "STAGE-FORCE"
     assert (jaws.noted.orders, jaws.lock.staged) == ([], None)
     jaws.step(30.1, GOOD)
     assert jaws.noted.orders == [("open", 30.1)]
@@ -398,7 +400,7 @@ def test_an_opening_in_stages_begins_with_the_conditions_of_a_release():
 @pytest.mark.parametrize(
     ("width_mm", "after_s", "moved_mm", "why"),
     [
-        (30.26, 1.0, 0.0, "STAGE-STEP"),
+        (30.21, 1.0, 0.0, "STAGE-STEP"),
         (30.1, 1.0, 0.0, "STAGE-STEP"),
         (math.nan, 1.0, 0.0, "STAGE-STEP"),
         (30.2, 0.9, 0.0, "STAGE-EARLY"),

@@ -33,6 +33,9 @@ from tests.release_study import (
     main,
     open_in_steps,
     place_with_margin,
+    release_on_bench,
+    rig_answer,
+    rig_jobs,
     roc_of,
 )
 from touchdown.backend.config import load_simulation
@@ -238,3 +241,30 @@ def test_the_command_writes_the_roc(tmp_path, capsys) -> None:
     assert sum(answer["trials"]["stable"]) == 4
     assert {row["detector"] for row in answer["groups"]} == set(DETECTORS)
     assert "Caught %" in capsys.readouterr().out
+
+
+def test_releases_through_the_rig_are_counted_by_side_of_the_edge() -> None:
+    jobs = rig_jobs(["brick"], 2, {"stages": 2}, "code")
+    assert [spec.params["stable"] for spec in jobs] == [False, True, False, True]
+    assert len({spec.seed for spec in rig_jobs(["brick", "pot"], 40, {}, "code")}) == 160
+    rows = [(-1.0, "GAVE_UP"), (2.0, "PLACED"), (-0.2, "FELL"), (0.1, "ABORTED")]
+    results = {
+        spec.id: {"piece": "brick", "margin_mm": margin, "outcome": outcome}
+        for spec, (margin, outcome) in zip(jobs, rows, strict=True)
+    }
+    store = SimpleNamespace(has=results.__contains__, result=results.__getitem__)
+    (group,) = rig_answer(jobs, store)["groups"]
+    assert (group["unstable"], group["beyond"], group["stable"], group["fell"]) == (2, 1, 1, 1)
+    assert group["unstable_held_again"]["value"] == 0.5
+    assert (group["beyond_held_again"]["value"], group["stable_held_again"]["value"]) == (1.0, 0.0)
+
+
+def test_a_forced_release_runs_through_the_bench() -> None:
+    (spec, _) = rig_jobs(
+        ["brick"], 1, {"stages": 2, "turn_sigmas": 100.0, "lean_sigmas": 100.0}, "code"
+    )
+    found = release_on_bench(spec, None)
+    assert found["outcome"] == "FELL"
+    assert found["margin_mm"] < 0.5
+    assert 0.0 < found["hold"] < 100.0
+    assert found["lean"] is not None

@@ -132,7 +132,7 @@ class RunPanel(base.Panel):
         tip = ("Measure the centre of mass of the held piece in six poses, and judge by it; "
                "for pieces of 100 g or more")  # fmt: skip
         stages = ("Release in held steps of 0.1 mm, about 40 s, and close the jaws if the piece "
-                  "begins to turn; useful for heavy pieces")  # fmt: skip
+                  "begins to turn; for heavy pieces")  # fmt: skip
         base.describe((self._staged, "Open in stages", stages), (self._weigh, "Weigh first", tip))
         fields.addLayout(base.hbox((self._staged, 1), (self._weigh, 1)), 7, 1, 1, 3)
         x, y = self._origin

@@ -71,6 +71,8 @@ def _open_in_stages(
     """Open in held steps, then at once, and rise; close and return False if the piece turns."""
     settings, width_mm = bench.settings.release, bench.gripper.status().width_mm
     force_n = bench.settings.probe.grip_force_n
+    text = f"Opening in {settings.stages} steps of {settings.stage_mm:g} mm, each held for 1 s."
+    yield core.Said(bench.now_s(), text)
     for step in range(1, settings.stages + 1):
         yield from motions.wait_fresh_wrench(bench)
         moved_mm = travelled_mm(recent_positions_mm(bench.arm.poses, bench.now_s()))

@@ -308,6 +308,7 @@ def test_a_release_in_stages_opens_step_by_step(monkeypatch):
     phases = [(fact.phase, fact.t_s) for fact in bench.of(PhaseEntered)]
     times = dict(phases)
     assert times["rise"] - times["release"] > 2.0
+    assert "Opening in 2 steps of 0.1 mm, each held for 1 s." in [f.text for f in bench.of(Said)]
     assert bench.session.interlock.staged is None
 
 

@@ -100,7 +100,8 @@ class BenchViewPresenter:
     def _scene(self, hand: tuple[float, ...] | None) -> views.SideScene:
         assert self._piece is not None
         gripper, span, bottoms = gripper_of(self._bench), views.USUAL_SPAN_MM, self._bottoms
-        holds = gripper is None or gripper.status().holding
+        loose = self._bench.interlock.staged is not None  # the jaws still stand around the piece
+        holds = gripper is None or gripper.status().holding or loose
         piece = self._let_go or (self._held() if holds else None)
         if hand is not None:
             off = max(abs(hand[0]), abs(hand[1])) - NEAR_MM

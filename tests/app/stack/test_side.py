@@ -22,6 +22,7 @@ from touchdown.backend.core.events import (
     TrialStarted,
 )
 from touchdown.backend.core.values import Fall, Outcome
+from touchdown.backend.devices import GripStatus, StagedOpening
 from touchdown.backend.geometry import Surface, load_pieces
 from touchdown.backend.learning.fused import Guard, GuardCalibration
 from touchdown.backend.runs.requests import RunState, StackRequest
@@ -124,6 +125,18 @@ def test_the_piece_stays_on_its_support_while_the_hand_rises(bench, seen):
     _draw(side)
     assert (view.scene.piece.x_mm, view.scene.piece.z_mm) == (2.5, 0.0)
     assert panel.detail.text() == "trial 1: stands"
+
+
+def test_a_piece_between_loosened_jaws_is_still_drawn(bench, seen, monkeypatch):
+    seen.side.take(RunStarted(0.0, "r", "pot", "short", "paper", 7, 1, True, "{}"))
+    bench.turn(0.04)
+    loose = GripStatus(30.3, 9.0, holding=False)
+    monkeypatch.setattr(bench.devices["gripper"], "status", lambda: loose)
+    _draw(seen.side)
+    assert seen.view.scene.piece is None
+    bench.interlock.staged = StagedOpening(30.0, 10.0)
+    _draw(seen.side)
+    assert seen.view.scene.piece is not None
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 12.0, -9.0])

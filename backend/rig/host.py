@@ -155,6 +155,8 @@ class RigHost:
     def _inbox(self) -> safety.FailsafeInput:
         memory = self._memory
         moving = any(one.of_arm and not one.motion.done for one in self._motions)
+        # Loosened jaws need the backend, which watches the piece.
+        moving = moving or self.orders.staged is not None
         return safety.FailsafeInput(
             memory.count(BACKEND_BEAT),
             memory.count(STOPS),
@@ -170,6 +172,8 @@ class RigHost:
         elif out.hold:
             self._note(now_s, f"hold: {out.why.code if out.why else 'silent'}")
             self.devices.arm.halt()
+            if self.orders.staged is not None:
+                self.orders.stop_gripper()
         if out.why is not None:
             # The end of the process ends all motions, also those of the gripper.
             ended = [one for one in self._motions if out.leave or (one.of_arm and one.motion.done)]

@@ -4,6 +4,7 @@ Functions and state machines without clock, thread or wire::
 
     backend's heartbeat older than 250 ms    HOLD; a motion under way is a fault until reset
     motion lease not renewed for 2 s         HOLD; a new order is needed (jogs end before)
+    either of these                          loosened jaws close
     STOP asked                               STOP, latched until reset; loosened jaws close
     backend gone (pipe closed, no parent)    STOP, then the process ends
     error of this program                    STOP and a fault
@@ -143,8 +144,8 @@ class Failsafe:
             return FailsafeOutput(hold=moving)
         fault = Fault(
             "BACKEND-SILENT",
-            f"The program stood still for {1e3 * silent_s:.0f} ms while the arm moved.",
-            "The arm was held; the gripper was not opened.",
+            f"The program stood still for {1e3 * silent_s:.0f} ms during a motion.",
+            "The arm was held; jaws that were opening in stages close.",
             "Look at the load of this computer, then press Reset.",
             "arm",
         )

@@ -371,6 +371,22 @@ def test_an_opening_by_hand_ends_the_stages_of_the_rig(rig):
     rig.lift()
 
 
+@pytest.mark.parametrize("by", ["beats", "lease"])
+def test_loosened_jaws_close_while_the_backend_is_silent(rig, by):
+    rig.order("gripper.open_step", **stage(rig))
+    if by == "beats":
+        rig.beats = False
+        rig.rounds(0.3)
+        (told,) = rig.told("fault")
+        assert told["fault"]["code"] == "BACKEND-SILENT"
+    else:
+        rig.neglect(0.25)
+        rig.rounds(1.7)
+        assert rig.log == ["open to 30.1"]
+        rig.rounds(0.2)
+    assert rig.log == ["open to 30.1", "grip 8.0"]
+
+
 def test_the_width_of_a_grip_is_the_one_at_which_the_jaws_stand(rig):
     """A gripper tells that it holds before it tells its last width."""
     jig = {"from_jig_mm": 0.0, "moved_mm": 0.0, "force_n": 0.0, "holding": True}

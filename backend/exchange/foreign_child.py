@@ -23,6 +23,8 @@ from touchdown.backend.exchange.features import ForeignEpisode, save_foreign
 READERS = {"lerobot": ("lerobot_reader", "read"), "contents": ("mapping", "read_contents")}
 MEMORY_BYTES = 8_000_000_000
 
+REMOVALS = 20  # tries to delete DIR, into which the reader may write meanwhile
+
 
 def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
     """Read all episodes; every error becomes one line of output."""
@@ -57,7 +59,10 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
 
 def _leave_with_parent(folder: str) -> None:
     os.read(0, 1)  # not sys.stdin, whose lock would hinder the end of the interpreter
-    shutil.rmtree(folder, ignore_errors=True)
+    for _ in range(REMOVALS):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not Path(folder).exists():
+            break
     os._exit(1)
 
 

@@ -143,6 +143,23 @@ def test_a_reader_that_dies_is_told(tmp_path):
         list(read_foreign("no such reader", tmp_path))
 
 
+def test_a_file_that_is_written_during_the_deletion_is_deleted_too(tmp_path, monkeypatch):
+    folder, remove, left = tmp_path / "import", shutil.rmtree, [2]
+    folder.mkdir()
+
+    def rmtree(path, **options):
+        remove(path, **options)
+        if left[0]:
+            left[0] -= 1
+            folder.mkdir()
+
+    monkeypatch.setattr(foreign_child.shutil, "rmtree", rmtree)
+    monkeypatch.setattr(foreign_child.os, "read", lambda *_: b"")
+    monkeypatch.setattr(foreign_child.os, "_exit", lambda code: None)
+    foreign_child._leave_with_parent(str(folder))
+    assert not folder.exists()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 def test_a_killed_import_leaves_neither_its_reader_nor_its_files(tmp_path):
     """The reader writes into the temporary folder of the program, which no longer deletes it."""

@@ -251,7 +251,7 @@ class LooseGrip:
 
     @property
     def turned_rad(self) -> float:
-        """How far the piece has turned about an edge of its support."""
+        """Angle by which the piece has turned about an edge of its support."""
         return float(np.abs(self._turning.angle_rad[0]))
 
     def advance(self, opened_mm: float, dt_s: float) -> FloatArray:

@@ -771,3 +771,12 @@ def test_letting_go_untested_concludes_nothing() -> None:
         make_strategy(
             GraspedPiece((0.0, 0.0), 30.0), StackSettings(strategy="pick-and-place"), (0.0, 0.0)
         )
+
+
+def test_a_new_grip_adds_its_uncertainty_to_that_of_the_centre_of_mass() -> None:
+    held = GraspedPiece((0.0, 0.0), 30.0, com_sigma_mm=0.4)
+    strategy = make_strategy(held, StackSettings(), (0.0, 0.0))
+    strategy.regrasped(0.3)
+    assert strategy._held.com_sigma_mm == pytest.approx(0.5)
+    strategy.regrasped(1.2)
+    assert strategy._held.com_sigma_mm == pytest.approx(1.3)

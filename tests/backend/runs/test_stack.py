@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from tests.backend.bench.brisk import brisk_method, on
@@ -26,6 +27,7 @@ from touchdown.backend.core import (
     TrialFinished,
 )
 from touchdown.backend.devices import GuardedGripper
+from touchdown.backend.devices.guarded_devices import GuardedArm
 from touchdown.backend.devices.interlock import CLOSES
 from touchdown.backend.experiments.run_report import run_text
 from touchdown.backend.geometry import load_pieces, regions
@@ -302,9 +304,17 @@ def staged_trial(bench, **asked):
 
 
 def test_a_release_in_stages_opens_step_by_step(monkeypatch):
+    forces_n, unload = [], GuardedArm.unload
+
+    def unloaded(arm, force_n, speed_mm_s):
+        forces_n.append(force_n)
+        return unload(arm, force_n, speed_mm_s)
+
+    monkeypatch.setattr(GuardedArm, "unload", unloaded)
     bench = staged_bench(monkeypatch, False)
     end, said = staged_trial(bench)
     assert (end.outcome, said) == (Outcome.PLACED, [])
+    assert forces_n == [0.8]  # the pot weighs less
     phases = [(fact.phase, fact.t_s) for fact in bench.of(PhaseEntered)]
     times = dict(phases)
     assert times["rise"] - times["release"] > 2.0
@@ -458,6 +468,23 @@ def test_a_weak_watch_refuses_the_release(monkeypatch):
     end, _ = staged_trial(bench)
     assert (end.outcome, end.reason) == (Outcome.ABORTED, f"{release.UNWATCHED} [NOT-WATCHED]")
     assert bench.benches[-1].gripper.status().holding
+
+
+def test_a_lean_is_judged_by_growth_and_by_the_load_beyond_the_weight():
+    weight_n = 9.80665 * 10.0
+    piece = SimpleNamespace(mass_g=10_000.0, com_xy_mm=(3.0, -2.0))
+    bench = SimpleNamespace(settings=StackSettings(), piece=piece)
+    free = np.array([0.0, 0.0, weight_n, -2e-3 * weight_n, -3e-3 * weight_n, 0.0])
+
+    def leans(growth, load):
+        return release._leans(bench, SimpleNamespace(growth=lambda: growth, load=lambda: load))
+
+    assert not leans(11.9, free)
+    assert leans(12.1, free)
+    assert not leans(0.0, free + 5.0 * np.eye(6)[2])
+    for axis, most in ((0, 0.8), (1, 0.8), (3, 0.032), (4, 0.032), (5, 0.032)):
+        assert not leans(0.0, free + 0.99 * most * np.eye(6)[axis])
+        assert leans(0.0, free + 1.01 * most * np.eye(6)[axis])
 
 
 def test_a_staged_request_opens_in_stages_unless_the_method_says_how():

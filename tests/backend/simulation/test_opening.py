@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from tests.backend.simulation.conftest import plain
 from tests.release_study import SUPPORTED_S, OpeningPlan, open_in_steps
 from touchdown.backend.config import SimulationSettings
 from touchdown.backend.geometry import load_pieces
@@ -17,6 +18,7 @@ from touchdown.backend.simulation.ground_truth import Scene
 from touchdown.backend.simulation.opening import (
     FALLEN_RAD,
     NO_SUPPORT_MM,
+    LooseGrip,
     LoosePads,
     StandingPiece,
     standing_piece,
@@ -172,3 +174,16 @@ def test_the_piece_of_a_scene_turns_about_the_nearest_edge_of_its_support() -> N
     assert moved.margin_mm == pytest.approx(1.0, abs=0.01)
     beside = standing_piece(scene, (40.0, 0.0), 0.0)
     assert (beside.margin_mm[0], beside.span_mm[0]) == (NO_SUPPORT_MM, 0.0)
+
+
+def test_a_grip_that_carries_nothing_explains_its_equilibrium() -> None:
+    """The weight hangs on the pads in air; a support that carries it moves them up again."""
+    conditions, piece = plain(1, GRIP_MM), standing(2.0)
+    values = np.zeros(14)
+    values[2] = WEIGHT_N
+    values[[7, 10]] = 0.5 * WEIGHT_N / conditions.shear_n_mm
+    values[12:] = 10.0
+    loose = LooseGrip(piece, conditions, values, np.array([0, 0, -WEIGHT_N, 0, 0, 0]))
+    assert loose._left[:6] == pytest.approx(np.zeros(6), abs=1e-9)
+    assert loose.advance(0.5, 0.01)[:3] == pytest.approx([0.0, 0.0, WEIGHT_N], abs=1e-6)
+    assert loose.turned_rad == 0.0

@@ -98,7 +98,7 @@ def _without_buttons(view: QWidget) -> Iterator[None]:
 
 COLUMNS = (
     "trial", "seed", "probe", "decided_s", "x_mm", "y_mm", "verdict", "margin_mm", "action",
-    "iou", "accuracy", "outcome", "episode",
+    "iou_percent", "accuracy_percent", "outcome", "episode",
 )  # fmt: skip
 VIEWER = "xdg-open"
 
@@ -129,8 +129,8 @@ def _rows(trial: TrialTimeline, bottom: Outline | None) -> Iterator[tuple[object
             "" if s is None else "stable" if s.stable else "unstable",
             "" if s is None else _mm(s.margin_mm),
             "" if look.action is None else look.action.kind,
-            "" if score is None else f"{score.iou:.4f}",
-            "" if score is None else f"{score.accuracy:.4f}",
+            "" if score is None else f"{100 * score.iou:.2f}",
+            "" if score is None else f"{100 * score.accuracy:.2f}",
             outcome, episodes.get(look.probe, ""),
         )  # fmt: skip
 

@@ -243,7 +243,7 @@ def report_html(caption: str, facts: str, png: bytes, table: str, run: RunStarte
     """
     head, *rows = csv.reader(io.StringIO(table))
     # Units of column names in brackets, as "x (mm)" for x_mm.
-    names = [re.sub(r"_(s|mm)$", r" (\1)", name) for name in head]
+    names = [re.sub(r"_(s|mm|%)$", r" (\1)", name.replace("percent", "%")) for name in head]
     source = f"data:image/png;base64,{b64encode(png).decode()}"
     image = f'<img style="max-width:100%" alt="{escape(caption)}" src="{source}">'
     parts = (

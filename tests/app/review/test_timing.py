@@ -335,16 +335,15 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     rows = [[cell.text or "" for cell in row] for row in root.iter("tr")]
     names, *lines = csv.reader(io.StringIO(table.read_text()))
     assert rows[1:] == lines
-    assert {"decided (s)", "margin (mm)", "iou"} <= set(rows[0])
+    assert {"decided (s)", "margin (mm)", "iou (%)", "accuracy (%)"} <= set(rows[0])
     # The shown margin and agreement are those of the row.
     last = dict(zip(names, rows[-1], strict=True))
     estimate = f"Estimate: stands, {float(last['margin_mm']):+.1f} mm."
     assert review.page.decision._text.text().endswith(estimate)
     assert review.page.decision._result.text() == "\N{CHECK MARK} Placed", "not the estimate"
-    assert f"IoU {100 * float(last['iou']):.0f} %, " in review.page.estimate.text()
-    assert (
-        f"IoU {100 * float(last['iou']):.0f} %" in review.page.strip.thumbnails[-1].caption.text()
-    )
+    iou = f"IoU {float(last['iou_percent']):.0f} %"
+    assert f"{iou}, " in review.page.estimate.text()
+    assert iou in review.page.strip.thumbnails[-1].caption.text()
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
     shown = QImage.fromData(picture)
     assert shown.width() == review.page.shown.width()

@@ -27,7 +27,6 @@ from .document import ReportTable as ReportTable
 from .document import TableEntry as TableEntry
 from .document import curves_chart as curves_chart
 from .document import report_page as report_page
-from .evaluation import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
 from .evaluation import DomainShift as DomainShift
 from .evaluation import shift_tables as shift_tables
 from .fusion import PORTIONS as PORTIONS
@@ -54,6 +53,7 @@ from .statistics import sequential_decision as sequential_decision
 from .strategies import BOTTOMS as BOTTOMS
 from .strategies import CEILING as CEILING
 from .strategies import COMPARED_PIECES as COMPARED_PIECES
+from .strategies import EVALUATED_STRATEGIES as EVALUATED_STRATEGIES
 from .strategies import MODEL_FREE as MODEL_FREE
 from .strategies import STRATEGIES as STRATEGIES
 from .strategies import ClosedLoopComparison as ClosedLoopComparison

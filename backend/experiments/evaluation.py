@@ -25,7 +25,6 @@ from touchdown.backend.jobs import JobSpec, JobStore
 
 PRESSES_SEED, TRIALS_SEED = 5_000_000, 6_000_000
 GROUPS_PER_JOB, PROBES, TRIALS_PER_JOB = 10, 3, 2
-EVALUATED_STRATEGIES = ("paper", "paper-calibrated", "fused", "zero-wrench")
 BENCH = "bench"  # world that the others are compared with
 POOLED = "pooled"  # over the bottoms of a study
 Json = dict[str, Any]

@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
@@ -46,7 +46,7 @@ from touchdown.backend.experiments.trials import (
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import use_one_thread
 from touchdown.backend.placement import XY, Strategy, SupportTower, load_network_of, make_strategy
-from touchdown.backend.runs import LEANS
+from touchdown.backend.runs import LEANS, LEARNED, StackRequest, StrategyChoice
 from touchdown.backend.sensing import EpisodeLimits
 from touchdown.backend.simulation import Scene, simulate_weighing, touched_margins_mm
 
@@ -69,7 +69,8 @@ TOWERS = ("short+long", "short+hex20", "short+rect12x28")
 BOTTOMS = (*SINGLE_BOTTOMS, *TOWERS, FRESH)
 TOWER_CELLS = 5  # offset of the cell number of a tower from that of its upper bottom
 CEILING = "ceiling"  # the oracle, which knows bench and outline
-STRATEGIES: tuple[str, ...] = (*get_args(config.StrategyName), CEILING)
+STRATEGIES: tuple[str, ...] = (*get_args(StrategyChoice), CEILING)
+EVALUATED_STRATEGIES = tuple(s for s in STRATEGIES if s not in (CEILING, "pick-and-place"))
 # ten parallel trials on towers take half the time of five times two
 TRIALS_PER_JOB, TOWER_TRIALS_PER_JOB = 2, 10  # the latter also on fresh outlines
 COMPARED_PIECES = (*tables.PIECES, "brick")  # the last one is heavy enough to be weighed
@@ -79,7 +80,7 @@ EXACT_MM, GRID_MM = 1e-6, 0.25
 # for the least number of probes: longest step, inset from the edge of the stable region
 STEP_MM, SAFE_INSET_MM = 3.0, 0.2
 REGION_GRID_MM = 0.5  # of places on a region
-MODEL_FREE = (CEILING, "fused", "pick-and-place")  # strategies without a model of the piece
+MODEL_FREE = (CEILING, *LEARNED, "pick-and-place")  # strategies without a model of the piece
 
 CELL_KEYS = ("strategy", "piece", "bottom")
 
@@ -205,7 +206,7 @@ def method_of(name: str, method: config.StackSettings) -> config.StackSettings:
     Raises ``InputError`` for an unknown setting, or a value that is none.
     """
     strategy, *changes = name.split(":")
-    content = {**method.model_dump(), "strategy": strategy}
+    content = StackRequest(strategy=cast("StrategyChoice", strategy)).method(method).model_dump()
     for change in changes:
         key, _, text = change.partition("=")
         group, _, field_name = key.partition(".")
@@ -220,7 +221,7 @@ def method_of(name: str, method: config.StackSettings) -> config.StackSettings:
 
 def network_params(strategy: str, method: config.StackSettings) -> Json:
     """Return the job parameters that identify the network of ``strategy``."""
-    if base_strategy(strategy) != "fused":
+    if base_strategy(strategy) not in LEARNED:
         return {}
     rules = method_of(strategy, method).fused
     return {"fused_sha256": load_network_of(rules).card.weights_sha256}

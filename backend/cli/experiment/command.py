@@ -202,8 +202,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_beyond_arguments(parser: argparse.ArgumentParser) -> None:
     beyond = parser.add_argument_group("beyond")
-    beyond.add_argument("--strategies", default="paper,fused", help="or "
-                        "zero-wrench, paper-calibrated, ceiling, pick-and-place; "
+    beyond.add_argument("--strategies", default="paper,fused", help="those of "
+                        "'stack --strategy', and ceiling; "
                         "settings follow a name: fused:policy.least_probes=2")  # fmt: skip
     beyond.add_argument("--bottoms", default="short,long", help="or hex20, rect12x28, towers "
                         "short+long, short+hex20, short+rect12x28, and fresh: another outline in "

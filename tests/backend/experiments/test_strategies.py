@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -36,6 +36,8 @@ from touchdown.backend.experiments.statistics import (
     verdict_changes,
 )
 from touchdown.backend.experiments.strategies import (
+    MODEL_FREE,
+    STRATEGIES,
     SURFACE_KINDS,
     TRIAL_WORDS,
     ClosedLoopComparison,
@@ -52,6 +54,8 @@ from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.jobs.job import SPEC_FILE, JobContext, JobSpec, JobStore, run_job
 from touchdown.backend.learning.checkpoint import save_checkpoint
 from touchdown.backend.learning.fused.checkpoint import shipped_fused
+from touchdown.backend.placement import load_network_of
+from touchdown.backend.runs import LEARNED, StackRequest, StrategyChoice
 from touchdown.backend.simulation.ground_truth import Scene, true_margin_mm
 
 
@@ -197,6 +201,21 @@ def test_settings_in_a_name_are_compared_with_the_strategy_without_them() -> Non
     for wrong in ("policy.least=2", "weigh=2", "nothing.risk=2", "policy.least_probes=x"):
         with pytest.raises(InputError):
             method_of(f"fused:{wrong}", StackSettings())
+
+
+def test_a_strategy_is_compared_under_the_names_that_a_stack_run_offers() -> None:
+    base = StackSettings()
+    assert (*get_args(StrategyChoice), "ceiling") == STRATEGIES
+    for name in LEARNED:
+        assert method_of(name, base) == StackRequest(strategy=name).method(base)
+        assert name in MODEL_FREE
+        (spec, *_) = ClosedLoopComparison(
+            load_simulation(), "", {}, strategies=(f"{name}:policy.least_probes=2",)
+        ).jobs()
+        card = load_network_of(method_of(name, base).fused).card
+        assert spec.params["fused_sha256"] == card.weights_sha256
+    method = method_of("fused-wrench:policy.least_probes=2", base)
+    assert (method.policy.max_probes, method.policy.least_probes) == (12, 2)
 
 
 def test_a_heavy_piece_is_weighed_with_the_noise_of_the_sensor_and_the_grasp() -> None:

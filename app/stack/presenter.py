@@ -170,7 +170,10 @@ class StackPresenter:
             self._page.run.show_buttons(buttons)
         text = tr("trial {} of {}", status.trial, status.trials) if active and status.trial else ""
         if text and status.phase and status.probe:
-            text += f", {tr('probe {}: {}', status.probe, tr(status.phase))}"
+            phase = tr(status.phase)
+            if status.steps:
+                phase = tr("step {} of {}", status.step, status.steps)
+            text += f", {tr('probe {}: {}', status.probe, phase)}"
         self._page.run.detail.setText(text)
         # Leaves the width of the header to the progress.
         self._page.add_piece.setVisible(not active)

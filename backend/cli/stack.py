@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 BOTTOM = "short"
 COLUMNS = ("outcome", "probes", "excess", "margin mm", "reason")
+EACH_STEPS = 5  # steps of a phase between two lines
 INPUT_CODE = "INPUT"  # code of bad input, which the command line reports itself
 
 
@@ -151,6 +152,9 @@ def narrate(fact: core.Event, screen: output.VerbOutput, bench: str = "simulated
         screen.say(f"  {fact.t_s:6.2f} s  {fact.text}")
     elif isinstance(fact, core.PhaseEntered) and fact.phase in ("unload", "release"):
         screen.say(f"  {fact.t_s:6.2f} s  {fact.phase}")
+    elif isinstance(fact, core.Progress) and fact.done % EACH_STEPS == 0:
+        steps = f"step {fact.done} of {fact.total}"
+        screen.say(f"  {fact.t_s:6.2f} s  {fact.text}, {steps}")
     elif isinstance(fact, core.FaultRaised) and fact.fault.code != INPUT_CODE:
         fault = fact.fault
         screen.say(

@@ -290,7 +290,11 @@ def _next_status(status: RunStatus, event: core.Event) -> RunStatus:
             status, trial=event.trial, probe=0, estimated=0, phase="", awaiting=None, asks=""
         )
     if isinstance(event, core.PhaseEntered):
-        return replace(status, phase=event.phase, probe=event.probe, awaiting=None, asks="")
+        return replace(
+            status, phase=event.phase, probe=event.probe, awaiting=None, asks="", steps=0
+        )
+    if isinstance(event, core.Progress):
+        return replace(status, step=event.done, steps=event.total)
     if type(event) in QUESTIONS or isinstance(event, core.Released):
         return replace(status, asks=QUESTIONS.get(type(event), ""))
     if isinstance(event, core.PatchEstimated):

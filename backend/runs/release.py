@@ -74,6 +74,7 @@ def _open_in_stages(
     text = f"Opening in {settings.stages} steps of {settings.stage_mm:g} mm, each held for 1 s."
     yield core.Said(bench.now_s(), text)
     for step in range(1, settings.stages + 1):
+        yield core.Progress(bench.now_s(), step, settings.stages, "opening the jaws")
         yield from motions.wait_fresh_wrench(bench)
         moved_mm = travelled_mm(recent_positions_mm(bench.arm.poses, bench.now_s()))
         opening = bench.gripper.open_step(

@@ -337,7 +337,7 @@ class RunStatus:
 
     ``probe`` is the newest probe, ``estimated`` the newest one with an estimate. ``asks`` is the
     manual step or observation that the run waits for, ``awaiting`` the action that waits for
-    approval.
+    approval. ``step`` of ``steps``: progress of a long phase.
     """
 
     state: RunState
@@ -350,6 +350,8 @@ class RunStatus:
     awaiting: PlaceAction | None = None
     text: str = ""
     asks: str = ""
+    step: int = 0
+    steps: int = 0
 
 
 def request_record(request: Request, method: StackSettings, bench: Mapping[str, object]) -> str:

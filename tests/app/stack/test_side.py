@@ -383,6 +383,18 @@ def test_stages_are_offered_where_the_release_is_tested(live, bench):
     assert run._staged.isVisibleTo(run)
 
 
+def test_a_release_in_stages_shows_its_step(live, bench):
+    live.go("stack")
+    run = live.workspaces["stack"].page.run
+    phase = {"trial": 1, "trials": 12, "probe": 10, "phase": "release"}
+    bench.set_state(RunState.RUNNING, **phase, step=12, steps=38)
+    settle(live)
+    assert run.detail.text() == "trial 1 of 12, probe 10: step 12 of 38"
+    bench.set_state(RunState.RUNNING, steps=0)
+    settle(live)
+    assert run.detail.text() == "trial 1 of 12, probe 10: release"
+
+
 def test_weighing_is_offered_for_a_piece_that_is_heavy_enough(live, bench):
     live.go("stack")
     run = live.workspaces["stack"].page.run

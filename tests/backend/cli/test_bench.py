@@ -18,7 +18,15 @@ from touchdown.backend.calibration.records import CalibrationStore, DeviceName
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.cli.connection import held_piece_reported
 from touchdown.backend.cli.output import VerbOutput, without_window
-from touchdown.backend.core import Fault, FaultError, InputError, PhaseEntered, RefusedError
+from touchdown.backend.cli.stack import narrate
+from touchdown.backend.core import (
+    Fault,
+    FaultError,
+    InputError,
+    PhaseEntered,
+    Progress,
+    RefusedError,
+)
 from touchdown.backend.emulation.fault_plan import parse_fault
 from touchdown.backend.rig.connection import BenchConnection
 from touchdown.backend.runs.requests import ProbeRequest, SceneChoice
@@ -311,3 +319,12 @@ def test_a_fault_of_the_emulated_bench_is_written_as_text():
     for text in ("arm:freeze@1", "arm:alarm", "force_torque:slow@3", "door:open@1"):
         with pytest.raises(InputError):
             parse_fault(text)
+
+
+def test_the_steps_of_an_opening_are_told_now_and_then(capsys) -> None:
+    for step in range(1, 12):
+        narrate(Progress(float(step), step, 38, "opening the jaws"), VerbOutput())
+    assert capsys.readouterr().out.splitlines() == [
+        "    5.00 s  opening the jaws, step 5 of 38",
+        "   10.00 s  opening the jaws, step 10 of 38",
+    ]

@@ -21,6 +21,7 @@ from touchdown.backend.core import (
     InputError,
     Outcome,
     PhaseEntered,
+    Progress,
     Released,
     RunFinished,
     Said,
@@ -311,9 +312,13 @@ def test_a_release_in_stages_opens_step_by_step(monkeypatch):
         return unload(arm, force_n, speed_mm_s)
 
     monkeypatch.setattr(GuardedArm, "unload", unloaded)
-    bench = staged_bench(monkeypatch, False)
+    bench, shown = staged_bench(monkeypatch, False), []
+    for kind in (Progress, PhaseEntered):
+        on(bench.session, kind, lambda _: shown.append(bench.session.status()))
     end, said = staged_trial(bench)
     assert (end.outcome, said) == (Outcome.PLACED, [])
+    steps = [(look.phase, look.step, look.steps) for look in shown if look.steps]
+    assert steps == [("release", 1, 2), ("release", 2, 2)], "none while the arm rises"
     assert forces_n == [0.8]  # the pot weighs less
     phases = [(fact.phase, fact.t_s) for fact in bench.of(PhaseEntered)]
     times = dict(phases)

@@ -85,6 +85,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     person = person_of(args)
     with dataset_to_fill(folder, person, screen, create=not args.resume) as dataset:
         request = _request(args, dataset, person)
+        if request.campaign:
+            screen.say(f"Resuming the campaign with its {request.piece} on {request.bottom}.")
 
         def prepare(session: Session) -> CollectRequest:
             session.dataset = dataset
@@ -173,6 +175,7 @@ def _campaign(args: argparse.Namespace, folder: Path) -> str:
             begun = f"no {flag}" if stored is None else f"{flag} {stored}"
             fix = "Leave it out, or begin another campaign without --resume."
             raise core.InputError(f"The campaign was begun with {begun}, not {given}.", flag, fix)
+    args.piece, args.bottom = campaign.piece, campaign.bottom  # not those of a lab file
     return uuid
 
 

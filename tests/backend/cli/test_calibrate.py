@@ -39,6 +39,7 @@ from touchdown.backend.core import Fault, PhaseEntered, RunFinished
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.rig.diagnostics import SensorTiming
+from touchdown.backend.runs.campaign import new_campaign
 from touchdown.backend.runs.recorder import calibrations_folder
 
 
@@ -355,6 +356,16 @@ def test_resume_needs_a_campaign(tmp_path, capsys) -> None:
     Dataset.open(tmp_path / "ds").close()
     assert main(["collect", "--resume", *where]) == 2
     assert "has no campaign" in capsys.readouterr().err
+
+
+def test_a_resumed_campaign_names_its_piece_where_the_lab_file_names_another(
+    lab, tmp_path, capsys
+) -> None:
+    where = ["--dataset", str(tmp_path / "ds"), "--bench", str(lab), "--person", "ann"]
+    Dataset.open(tmp_path / "ds").close()
+    new_campaign("mushroom", "long", "random", 1, 20, None).save(tmp_path / "ds")
+    main(["collect", "--resume", *where])
+    assert "Resuming the campaign with its mushroom on long." in capsys.readouterr().out
 
 
 def test_coverage_is_drawn_with_y_up() -> None:

@@ -163,10 +163,16 @@ def take_piece(bench: Bench) -> Plan[None]:
 
 
 def hold_again(bench: Bench) -> Plan[bool]:
-    """Close loosened jaws; return True if they hold the piece, False if it is gone."""
-    grip = bench.gripper.grip(bench.settings.probe.grip_force_n)
+    """Close loosened jaws; return True if they hold the piece, False if it is gone.
+
+    A cancel takes effect once they are closed, so that it lifts the piece.
+    """
+    grip, what = bench.gripper.grip(bench.settings.probe.grip_force_n), "the gripper to hold"
     try:
-        yield from motion_done(grip, GRIP_S, "the gripper to hold the piece")
+        yield from motion_done(grip, GRIP_S, what)
+    except CancelledError:
+        yield Wait(lambda: grip.done, GRIP_S, what)
+        raise
     except core.FaultError as error:
         if bench.interlock.latched or error.fault.code != NO_PART:
             raise

@@ -394,6 +394,24 @@ def test_stop_does_not_interrupt_jaws_that_close_because_the_piece_turns(monkeyp
     assert devices.gripper.status().holding
 
 
+def test_a_cancel_while_the_jaws_close_lifts_the_piece_with_them(monkeypatch):
+    bench = staged_bench(monkeypatch, True)
+    session, grip, below_mm = bench.session, GuardedGripper.grip, []
+
+    def grip_and_cancel(gripper, force_n):
+        if session.interlock.staged is not None:
+            below_mm.append(bench.benches[-1].arm.pose(1.0).z_mm)
+            session.engine.cancel()
+        return grip(gripper, force_n)
+
+    monkeypatch.setattr(GuardedGripper, "grip", grip_and_cancel)
+    end, _ = staged_trial(bench)
+    assert (end.outcome, end.reason) == (Outcome.ABORTED, "cancelled by the operator")
+    devices = bench.benches[-1]
+    assert devices.gripper.status().holding
+    assert devices.arm.pose(1.0).z_mm > below_mm[0] + 1.0, "lifted"
+
+
 def blind(*_):
     return None
 

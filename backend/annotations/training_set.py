@@ -270,7 +270,9 @@ def _of_one_piece(
     if not found:
         further = LABEL_CHOICES[LABEL_CHOICES.index(labels) + 1 :]
         fix = "Label and approve some"
-        fix += f", or train on labels that are {' or '.join(further)}." if further else "."
+        fix += (
+            f", or train on labels that are {' or '.join(further)} (--labels)." if further else "."
+        )
         raise InputError("No episode has a label to train on.", str(folder), fix)
     if piece is None and len(found) > 1:
         what = f"The episodes belong to different grasped pieces ({', '.join(found)})."

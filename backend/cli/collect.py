@@ -67,8 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--person", help="who collects (default: the account's name)")
     parser.add_argument(
-        "--resume", action="store_true", help="resume the newest campaign with its plan"
-    )
+        "--resume", nargs="?", const="newest", metavar="CAMPAIGN",
+        help="resume the newest campaign, or the named one, with its plan",
+    )  # fmt: skip
     connection.add_bench_arguments(parser)
     parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
 
@@ -83,7 +84,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     runs = Path(args.runs) if args.runs else core.data_folder() / "runs"
     keep = RecordingOptions(runs, episodes=False)
     person = person_of(args)
-    with dataset_to_fill(folder, person, screen, create=not args.resume) as dataset:
+    with dataset_to_fill(folder, person, screen, create=args.resume is None) as dataset:
         request = _request(args, dataset, person)
         if request.campaign:
             screen.say(f"Resuming the campaign with its {request.piece} on {request.bottom}.")
@@ -162,9 +163,10 @@ def _plan(args: argparse.Namespace) -> RecordingPlan | None:
 
 def _campaign(args: argparse.Namespace, folder: Path) -> str:
     """Return the campaign to resume, or ""; raises ``InputError`` if arguments contradict it."""
-    if not args.resume:
+    if args.resume is None:
         return ""
-    if (uuid := newest_campaign(folder)) is None:
+    uuid = newest_campaign(folder) if args.resume == "newest" else args.resume
+    if uuid is None:
         what, fix = "This dataset has no campaign.", "Collect without --resume."
         raise core.InputError(what, str(folder), fix)
     campaign = read_campaign(folder, uuid)

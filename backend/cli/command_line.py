@@ -119,6 +119,12 @@ def _run(words: list[str], screen: VerbOutput) -> int:
         what, fix = f"{error.strerror}.", "Check the path, its permissions and the free space."
         _complain(screen, what, str(error.filename), fix)
         return BAD_INPUT
+    except ValueError as error:
+        if "surrogates not allowed" not in str(error):
+            raise
+        named = next((word for word in words if not word.isprintable()), "the working folder")
+        _complain(screen, "A name is not UTF-8.", repr(named), "Rename the file or folder.")
+        return BAD_INPUT
 
 
 def _dispatch(words: list[str], screen: VerbOutput) -> int:

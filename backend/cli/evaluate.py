@@ -105,20 +105,11 @@ def score_table(title: str, scores: dict[str, EvaluationScores], trained_on: set
     for name, s in scores.items():
         unseen = "" if name == "all" or name in trained_on else " (unseen)"
         low, high = s.stability_interval
-        rows.append(
-            (
-                name + unseen,
-                str(s.episodes),
-                f"{100 * s.iou:.1f}",
-                f"{100 * s.point_accuracy:.1f}",
-                f"{100 * s.stability_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
-                f"{100 * s.base_rate:.1f}",
-                "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}",
-            )
-        )
-    columns = (
-        "episodes", "IoU %", "points right %", "stable right %", "base rate %", "unsafe %",
-    )  # fmt: skip
+        stable = f"{100 * s.stability_accuracy:.1f} ({100 * low:.0f}-{100 * high:.0f})"
+        shares = [f"{100 * share:.1f}" for share in (s.iou, s.point_accuracy, s.base_rate)]
+        unsafe = "-" if math.isnan(s.unsafe) else f"{100 * s.unsafe:.1f}"
+        rows.append((name + unseen, str(s.episodes), *shares, unsafe, stable))
+    columns = ("episodes", "IoU %", "points right %", "base rate %", "unsafe %", "stable right %")
     table = text_table(title, ("bottom", *columns), *rows, right=columns)
-    table.caption = "n = 1; 95 % Wilson interval of the stability accuracy"
+    table.caption = "judged from one probe; 95 % Wilson interval of the stability accuracy"
     return table

@@ -15,13 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("format", choices=EXPORTS, help="what to write")
     parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     parser.add_argument("--out", metavar="DIR", required=True, help="new folder to write")
-    for name, text in (
-        ("piece", "only this grasped piece"),
-        ("bottom", "only this bottom"),
-        ("series", "only this series"),
-        ("campaign", "only this campaign"),
-    ):
-        parser.add_argument(f"--{name}", help=text)
+    for name in ("piece", "bottom", "series", "campaign"):
+        parser.add_argument(f"--{name}", help=f"only this {name}")
     parser.add_argument(
         "--states", default="approved", metavar="S,S",
         help="label states: approved, submitted, draft",

@@ -14,6 +14,7 @@ from touchdown.backend.runs import dataset_folder
 
 EPISODES = ("lerobot", "mcap")
 LABELS = ("coco", "csv")
+MAP_FIX = "Name it (docs/exchange.md). A name that is no file yet gets a mapping to correct."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     if not args.source.exists():
         raise InputError("There is no such file or folder.", str(args.source), "Check the path.")
     if args.map is None and (args.format == "mcap" or args.preview):
-        raise InputError("A mapping file is missing.", "--map", "Name it; see docs/exchange.md.")
+        raise InputError("A mapping file is missing.", "--map", MAP_FIX)
     if args.map is not None and args.format not in EPISODES:
         raise InputError(f"{args.format} needs no mapping file.", "--map", "Remove it.")
     if args.preview:

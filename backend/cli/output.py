@@ -21,7 +21,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
-from rich.console import Console, RenderableType
+from rich.console import Console, JustifyMethod, RenderableType
 from rich.live import Live
 from rich.progress import (
     BarColumn,
@@ -186,7 +186,8 @@ def text_table(
     """
     table = Table(title=title)
     for column in header:
-        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+        side: JustifyMethod = "right" if column in right else "left"
+        table.add_column(column, justify=side, overflow="fold", no_wrap=column == header[0])
     for row in rows:
         table.add_row(*(without_window(c, lab) if isinstance(c, str) else c for c in row))
     return table

@@ -20,8 +20,7 @@ from touchdown.backend.core import (
     TrialFinished,
     data_folder,
 )
-from touchdown.backend.runs import EVENT_LOG_NAME as JOURNAL
-from touchdown.backend.runs import read_events
+from touchdown.backend.runs import EVENT_LOG_NAME, read_events
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +34,7 @@ def find_run(name: str, runs: Path) -> Path:
     if Path(name).exists():
         return Path(name)
     if name == "latest":
-        found = sorted(folder for folder in runs.glob("*") if (folder / JOURNAL).is_file())
+        found = sorted(folder for folder in runs.glob("*") if (folder / EVENT_LOG_NAME).is_file())
         if found:
             return found[-1]
         raise InputError("There are no runs.", str(runs), "Start one with `touchdown stack`.")
@@ -77,9 +76,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         screen.say("The journal is incomplete: the program was interrupted.")
     screen.result({
         "run": str(folder),
-        "activity": None if head is None else head.activity,
-        "piece": None if head is None else head.piece,
-        "bottom": None if head is None else head.bottom,
+        **{name: getattr(head, name, None) for name in ("activity", "piece", "bottom")},
         "ending": "interrupted" if ending is None else ending.ending,
         "facts": counts,
         "trials": [

@@ -111,10 +111,10 @@ def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
     catalogue = load_pieces(folder)
     settings = load_simulation(Path(args.bench) if args.bench else None, args.preset)
     piece = catalogue.top(args.piece)
-    names = [name for name in args.bottoms.split(",") if name]
+    names = [name for text in args.bottoms.split(",") if (name := text.strip())]
     if not names or len(set(names)) != len(names):
         fix = "For example circle15,circle25,square15."
-        raise InputError("Name each bottom once.", "--bottoms", fix)
+        raise InputError("Name each bottom once, and at least one.", "--bottoms", fix)
     jobs: list[JobSpec] = []
     for name in names:
         plan = batch_plan(

@@ -98,8 +98,8 @@ def find_packs(folder: Path) -> list[Path]:
     packs = folder.rglob("*.mcap")
     found = sorted(p for p in packs if "/." not in f"/{p.relative_to(folder).as_posix()}")
     if not found:
-        fix = "Give the folder that 'touchdown simulate --out' wrote."
-        raise InputError("There are no episode files here.", str(folder), fix)
+        what = f"There {'are no episode files here' if folder.exists() else 'is no such folder'}."
+        raise InputError(what, str(folder), "Give a dataset, or the --out of 'touchdown simulate'.")
     return found
 
 

@@ -291,8 +291,8 @@ class EpisodeImport:
         self.backup: Path | None = None
         """The catalogue as it was before ``write``; None until then, or of an empty dataset."""
         self._commanded = isinstance(spec, Mapping) and spec.get("action") == features.COMMANDED
-        known = dataset.database.rows("SELECT uuid FROM episode")
-        self._known = {uuid for (uuid,) in known}
+        known = dataset.database.rows("SELECT uuid, piece, bottom FROM episode")
+        self._known = {uuid: f"{piece} on {bottom}" for uuid, piece, bottom in known}
         self._geometry = "" if self._named else self._own_pair()
         self.total: int | None = len(self._named) or None
 
@@ -301,6 +301,7 @@ class EpisodeImport:
         problems: Counter[str] = Counter()
         lost: dict[str, None] = {}
         found = fit = here = 0
+        wanted = f"{self._options.piece} on {self._options.bottom}"
         for foreign in self._foreign():
             found += 1
             reason = self._reason(foreign)
@@ -308,6 +309,8 @@ class EpisodeImport:
                 problems[reason] += 1
             elif self._is_here(foreign):
                 here += 1
+                if not self._named and (pair := self._known[self._uuid(foreign)]) != wanted:
+                    lost |= {f"It is here as {pair}; another pair needs another dataset.": None}
             else:
                 fit += 1
                 lost |= dict.fromkeys(mapping_losses(foreign))
@@ -368,8 +371,7 @@ class EpisodeImport:
 
     def _is_here(self, foreign: ForeignEpisode) -> bool:
         named = self._named.get(foreign.index)
-        own = {str(named["uuid"])} if named else set[str]()
-        return not self._known.isdisjoint({self._uuid(foreign), *own})
+        return self._uuid(foreign) in self._known or bool(named and named["uuid"] in self._known)
 
     def _uuid(self, foreign: ForeignEpisode) -> str:
         """Return the id of an imported episode, which is the same for every import.

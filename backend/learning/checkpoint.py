@@ -23,7 +23,7 @@ from touchdown.backend.learning.calibration import PatchCalibration
 
 MAX_WEIGHT_BYTES = 100_000_000
 MAX_CARD_BYTES = 1_000_000
-FIX = "Use the model that came with Touchdown, or train again."
+FIX = "Check the path, use the model that came with Touchdown, or train again."
 STORED = (np.float32, np.float16)  # types of weights on disk; in memory they are float32
 FULL_PRECISION = ("mean", "scale")  # in units of the signals, with a large range: always 32 bits
 _PICKLES = (b"PK\x03\x04", b"\x80")

@@ -142,6 +142,7 @@ class TrainingProcess:
     """
 
     def __init__(self, job: TrainingJob) -> None:
+        order = job.model_dump_json()  # fails for a path that is not UTF-8
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
         environment = IDLE_THREADS | os.environ
         self._child = subprocess.Popen(
@@ -153,7 +154,7 @@ class TrainingProcess:
             text=True,
             encoding="utf-8",
         )
-        self._send(job.model_dump_json())
+        self._send(order)
 
     @property
     def pid(self) -> int:

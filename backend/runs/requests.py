@@ -49,7 +49,7 @@ def _check_request(request: Any, **choices: Any) -> None:
             what = f"There is no {name} '{getattr(request, name)}'."
             raise InputError(what, f"--{name}", f"Use one of: {', '.join(known)}.")
     if not (isinstance(request.seed, int) and 0 <= request.seed < 2**63):
-        fix = "Give a whole number from 0, as an int."
+        fix = "Give a whole number from 0 to 2**63 - 1, as an int."
         raise InputError(f"The seed is {request.seed!r}.", "--seed", fix)
     if not (len(request.origin_mm) == 2 and math.hypot(*request.origin_mm) <= 5e3):
         fix = "Give x and y in mm, in the frame of the arm."
@@ -253,7 +253,7 @@ class CollectRequest:
         # Its numbers have the names and limits of those of a recording plan.
         numbers = {n: getattr(self, n, None) for n in RecordingPlan.model_fields}
         given = {name: value for name, value in numbers.items() if value is not None}
-        parse_settings(RecordingPlan, given | {"stage": self.stage or "rest"}, "CollectRequest")
+        parse_settings(RecordingPlan, given | {"stage": self.stage or "rest"}, "arguments")
         sigma_mm = self.origin_sigma_mm
         if sigma_mm is not None and not 0 <= sigma_mm < math.inf:
             what = f"{sigma_mm} mm is no uncertainty of the origin."

@@ -21,6 +21,7 @@ import pytest
 
 from tests.backend.annotations.conftest import context_for, small_episode
 from tests.backend.bench.brisk import CYCLE_US, RATE_HZ
+from tests.backend.exchange.conftest import fill
 from touchdown.backend.annotations import Dataset, Label, list_backups
 from touchdown.backend.calibration.records import CalibrationStore, read_record
 from touchdown.backend.calibration.result import (
@@ -312,8 +313,15 @@ def test_a_campaign_is_collected_and_resumed(tmp_path, capsys) -> None:
     second = capsys.readouterr().out
     for said in (first["campaign"], "2 of 2 probes are done.", "no findings"):
         assert said in second
+    # A later campaign does not hide an earlier one that is named.
+    assert main(["collect", "--count", "1", "--person", "ann", *words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["campaign"] != first["campaign"]
+    assert main(["collect", "--resume", first["campaign"], "--person", "ann", *words]) == 0
+    assert f"campaign {first['campaign']}" in " ".join(capsys.readouterr().out.split())
+    assert main(["collect", "--resume", "of-nobody", "--person", "ann", *words]) == 2
+    assert "of-nobody.json" in capsys.readouterr().err
     with Dataset.open(tmp_path / "ds", write=False) as dataset:
-        assert [entry.person for entry in dataset.episodes()] == ["ann", "bob"]
+        assert [entry.person for entry in dataset.episodes()] == ["ann", "bob", "ann"]
     assert (tmp_path / "runs").is_dir()
 
 
@@ -366,6 +374,28 @@ def test_a_resumed_campaign_names_its_piece_where_the_lab_file_names_another(
     new_campaign("mushroom", "long", "random", 1, 20, None).save(tmp_path / "ds")
     main(["collect", "--resume", *where])
     assert "Resuming the campaign with its mushroom on long." in capsys.readouterr().out
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of bytes")
+@pytest.mark.parametrize("verb", ["export lerobot --video none --out", "train --out"])
+def test_a_name_that_is_not_utf8_is_one_clear_error(verb, tmp_path, capsys) -> None:
+    odd = tmp_path / "na\udcefve"
+    with Dataset.open(odd, person="cleo") as dataset:
+        fill(dataset, frames=False)
+    place = ["--dataset", str(odd)] if verb.startswith("export") else [str(odd)]
+    name, *words = verb.split()
+    assert main([name, *words, str(tmp_path / "new\udcef.safetensors"), *place, "--json"]) == 2
+    error = json.loads(capsys.readouterr().err.splitlines()[-1])["error"]
+    assert error["what"] == "A name is not UTF-8."
+    assert "\\udcef" in error["where"]
+
+
+def test_names_and_intervals_of_a_table_stay_whole_on_80_columns(capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    screen = VerbOutput(json=False)
+    texts = ("a value of some length", "standard uncertainty", "no, too uncertain for this")
+    screen.table("names", ("parameter", "a", "b", "c"), ("spread.print_offset_mm", *texts))
+    assert "spread.print_offset_mm" in capsys.readouterr().out
 
 
 def test_coverage_is_drawn_with_y_up() -> None:

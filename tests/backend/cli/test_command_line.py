@@ -410,6 +410,8 @@ def test_packs_are_stamped_with_the_start_and_their_headers_with_the_bench_clock
     for wrong in ("yesterday", "1969-12-31", "2200-01-01"):
         assert main([*small, "--start", wrong, "--out", str(tmp_path / "no")]) == 2
         assert "--start" in capsys.readouterr().err
+    assert main([*small, "--bottoms", "circle15, circle15", "--out", str(tmp_path / "no")]) == 2
+    assert "each bottom once, and at least one" in capsys.readouterr().err
 
 
 def test_simulated_packs_are_complete_and_the_same_for_any_number_of_workers(
@@ -823,6 +825,7 @@ def test_a_collection_replays_as_its_probes(tmp_path, capsys) -> None:
         ("track {own} --overlay {film}", "own.mcap", "neither a picture nor"),
         ("track {film} --overlay {film}", "film.mp4", "would replace"),
         ("train {tmp} --out {own}", "own.mcap", "another kind"),
+        ("train {new}", "new", "is no such folder"),
         ("identify {tmp} --out {lab}", "lab.toml", "would be replaced"),
         ("identify {tmp} --out {method}", "method.toml", "would be replaced"),
         ("identify {tmp} --bench {bench} --out {bench}", "bench.toml", "would replace"),

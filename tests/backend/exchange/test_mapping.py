@@ -207,8 +207,14 @@ def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
         recording = dataset.read(entry.uuid).recording
     assert label.offset_mm == pytest.approx([8.537, 1.931], abs=0.01)
     assert (len(recording.fields), entry.mode) == (118, "imported")
+    capsys.readouterr()
+    assert main([*words, str(MAP)]) == 0
+    assert "1 of them are present already" in (again := capsys.readouterr().out)
+    assert "another pair" not in again
+    assert main([*words, str(MAP), "--bottom", "circle15"]) == 0
+    assert "here as pot on square15; another pair needs another" in capsys.readouterr().out
     assert main([*words[:-1]]) == 2
-    assert "mapping file" in capsys.readouterr().err
+    assert "A name that is no file yet gets a mapping" in capsys.readouterr().err
 
 
 def test_a_mapping_is_proposed_from_the_signals_of_a_bag(tmp_path, capsys):

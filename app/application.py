@@ -59,6 +59,7 @@ class TouchdownApp(QObject):
     bench: Session | None = None
     # Bench file with which the program starts again, once the window is closed.
     next_bench: Path | None = None
+    _asked_unsaved = False
     # Set with the bench.
     panels: BenchDialogs
     inspect: shell.DeviceInspectorPresenter
@@ -93,7 +94,7 @@ class TouchdownApp(QObject):
         )  # fmt: skip
         self.workspaces = Workspaces(context, settings.pages, self._place, self._warn)
         self.window = shell.MainWindow(self.theme, self.bar, self.cards, self.workspaces.all)
-        self.window.may_close = lambda: self._closing.may_close(self.bench)
+        self.window.may_close = self._may_close
         self.calls = shell.PersonCalls(self.window, settings.calls, notifier)
         self._closing = shell.CloseConfirmation(self.cards, self.stop, self.window.close)
         self._loader, self._mailbox = shell.SaveWorker(self, "connect"), core.EventQueue()
@@ -327,17 +328,23 @@ class TouchdownApp(QObject):
 
     def _start_again(self, file: Path) -> None:
         # The file may have changed since the question.
-        if self._can_restart(file):
-            restart = partial(self._restart, file)
-            if self.remember():
-                restart()
-            else:
-                text = tr("The window settings cannot be saved. Restart without them?")
-                self.cards.ask(CardQuestion(text, (("Stay", lambda: None), ("Restart", restart))))
+        if self._can_restart(file) and self._saved("Restart", partial(self._start_again, file)):
+            self.next_bench = file
+            self.window.close()
 
-    def _restart(self, file: Path) -> None:
-        self.next_bench = file
-        self.window.close()
+    def _may_close(self) -> bool:
+        return self._closing.may_close(self.bench) and (
+            self._closing.allowed or self._saved("Close", self.window.close)
+        )
+
+    def _saved(self, answer: str, go_on: Callable[[], object]) -> bool:
+        """Save the settings; if the disk refuses, ask once to go on without them."""
+        if self._asked_unsaved or self.remember():
+            return True
+        self._asked_unsaved = True
+        text = "The window settings cannot be saved. Go on without them?"
+        self.cards.ask(CardQuestion(text, (("Stay", lambda: None), (answer, go_on))))
+        return False
 
     def _can_restart(self, file: Path) -> bool:
         # Imported here, as the window appears before the simulated bench is loaded.

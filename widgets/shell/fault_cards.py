@@ -66,7 +66,7 @@ class CardQuestion:
     """Non-blocking question: text and (label, action) per answer; the first one changes nothing."""
 
     text: str
-    answers: tuple[tuple[str, Callable[[], None]], ...]
+    answers: tuple[tuple[str, Callable[[], object]], ...]
 
 
 class FaultCard(QFrame):
@@ -305,7 +305,7 @@ class FaultCards(QWidget):
         if focused:
             frame.findChildren(QPushButton)[0].setFocus()
 
-    def _answer(self, action: Callable[[], None]) -> None:
+    def _answer(self, action: Callable[[], object]) -> None:
         self.withdraw()
         action()
 

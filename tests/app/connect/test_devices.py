@@ -309,6 +309,20 @@ def test_a_file_that_goes_between_question_and_restart_leaves_the_bench(live, fi
     assert (live.next_bench, live.window.isVisible()) == (file, False)
 
 
+@pytest.mark.parametrize("again", ["answer", "Ctrl+Q"])
+def test_settings_that_a_full_disk_refuses_hold_the_window_once(live, monkeypatch, again):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(shell, "save_settings", lambda path, told: raise_it(full))
+    live.window.close()
+    settle(live)
+    assert "No space left" in live.cards.card("BUG-OSERROR").text.what
+    assert live.cards.asks.text.startswith("The window settings cannot be saved.")
+    assert live.window.isVisible()
+    (live.cards.asks.answers[1][1] if again == "answer" else live.window.close)()
+    assert not live.window.isVisible()
+    assert live.next_bench is None
+
+
 def test_settings_that_a_full_disk_refuses_hold_the_restart(live, file, monkeypatch):
     full = OSError(errno.ENOSPC, "No space left on device")
     monkeypatch.setattr(shell, "save_settings", lambda path, told: raise_it(full))

@@ -6,7 +6,7 @@ The scores order four of the review queues.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -182,42 +182,37 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)
 COMPARED_TICKS = [4, 9, 14, 19]  # of a press, for the comparison of signals
 MAX_COMPARED, MAX_PICKS = 1500, 300  # most episodes of a piece that are compared, and ordered
-PATCH_RIDGE = 0.1  # variance of a label in kernel ridge regression, where that of a patch is 1
+SMALLER_SHARE = 0.6  # share of the episodes, those with the smaller estimated patches, first
 
 
 def training_order(
     signals: NDArray[np.floating],
     estimated: NDArray[np.floating],
-    patches: Mapping[int, NDArray[np.bool_]],
+    labelled: Collection[int],
     most: int = MAX_PICKS,
 ) -> list[int]:
-    """Return the indices of ``most`` episodes to label next, most informative first.
+    """Return the indices of ``most`` episodes to label next.
 
-    ``signals`` (n, 4, 258) of a press, ``estimated`` (n, N) patches of the model, and ``patches``
-    (N,) of the labelled episodes by index. Kernel ridge regression predicts the patches from the
-    labelled ones with similar signals. An episode stands for those with a similar difference
-    between the prediction and the model's estimate: the next one adds most to the sum, over all
-    episodes, of the likeness to the nearest labelled or earlier one (greedy facility location).
-    Without labels there is nothing to predict from, and the order stays.
+    ``signals`` (n, 4, 258) of a press, ``estimated`` (n, N) patches of the model, and the indices
+    of the ``labelled`` episodes. Where most of the face touches, a label tells little about the
+    edges of a patch, so episodes with a large estimated patch come last. Kernel herding (Chen,
+    Welling and Smola 2010, arXiv 1203.3472) orders the others: the labelled and the chosen
+    episodes together have signals distributed as those of all episodes with smaller patches, more
+    evenly than random ones.
     """
-    labelled = sorted(patches)
-    if not labelled:
-        return list(range(min(len(signals), most)))
+    size = estimated.mean(axis=1)
+    smaller = size <= np.quantile(size, SMALLER_SHARE)
     kinds = np.split(signals - signals.mean(axis=0), (TACTILE_CHANNELS, TACTILE_CHANNELS + 3), 2)
     scaled = [kind.reshape(len(kind), -1) / max(np.linalg.norm(kind), 1e-9) for kind in kinds]
     alike = _likeness(np.hstack(scaled))
-    known = np.array([patches[k] for k in labelled], dtype=np.float64)
-    mean, among = known.mean(axis=0), alike[np.ix_(labelled, labelled)]
-    weights = np.linalg.solve(among + PATCH_RIDGE * np.eye(len(labelled)), known - mean)
-    predicted = np.clip(mean + alike[:, labelled] @ weights, 0.0, 1.0)
-    likeness = _likeness(predicted - estimated)
-    nearest = likeness[:, labelled].max(axis=1)
-    free, order = ~np.isin(np.arange(len(signals)), labelled), list[int]()
-    for _ in range(min(int(free.sum()), most)):
-        gain = np.maximum(likeness - nearest[:, None], 0.0).sum(axis=0)
-        order.append(int(np.where(free, gain, -1.0).argmax()))
+    free = ~np.isin(np.arange(len(size)), list(labelled))
+    wanted = alike[:, smaller].mean(axis=1) + 2.0 * smaller  # of 0 to 1, those come first
+    total, order = alike[:, ~free].sum(axis=1), list[int]()
+    for count in range(len(labelled), len(labelled) + min(int(free.sum()), most)):
+        gain = wanted - total / (count + 1)
+        order.append(int(np.where(free, gain, -np.inf).argmax()))
         free[order[-1]] = False
-        nearest = np.maximum(nearest, likeness[:, order[-1]])
+        total += alike[:, order[-1]]
     return order
 
 
@@ -237,8 +232,8 @@ class _PairSignals:
     wrench: list[FloatArray] = field(default_factory=list)
 
 
-# Signals (4, 258), estimated patch (N,), and that of the label if it was accepted
-_Compared = tuple[NDArray[np.floating], FloatArray, NDArray[np.bool_] | None]
+# Signals (4, 258), estimated patch (N,), and whether the label was accepted
+_Compared = tuple[NDArray[np.floating], FloatArray, bool]
 
 
 @dataclass(slots=True)
@@ -295,12 +290,10 @@ def _score(dataset: Dataset, entry: EpisodeEntry, models: Ensemble, found: _Mode
     settled = episode.observation[-SETTLED_TICKS:, TACTILE_CHANNELS:].mean(axis=0)
     felt.wrench.append(np.asarray(settled, dtype=np.float64))
     if head.state != "rejected":
-        accepted = head.state in ("submitted", "approved")
-        patch = dataset.geometry.patch(entry.geometry, head.label).touching if accepted else None
         found.compared[entry.uuid] = (
             episode.observation[COMPARED_TICKS],
             says.patch.probability,
-            patch,
+            head.state in ("submitted", "approved"),
         )
 
 
@@ -328,7 +321,7 @@ def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
 def _training_scores(compared: Mapping[str, _Compared]) -> dict[str, float]:
     """Return 1 for the unlabelled episode to label first, less for the next ones."""
     uuids = np.random.default_rng(0).permutation(sorted(compared))[:MAX_COMPARED].tolist()
-    signals, estimated, patches = zip(*(compared[uuid] for uuid in uuids), strict=True)
-    known = {k: patch for k, patch in enumerate(patches) if patch is not None}
+    signals, estimated, accepted = zip(*(compared[uuid] for uuid in uuids), strict=True)
+    known = np.flatnonzero(accepted).tolist()
     order = training_order(np.array(signals), np.array(estimated), known)
     return {uuids[k]: 1.0 - place / len(order) for place, k in enumerate(order)}

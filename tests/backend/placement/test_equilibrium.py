@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import ConvexHull, QhullError
 from shapely.geometry import MultiPoint, Point
 
@@ -446,44 +445,40 @@ def clusters(*sizes, spread=0.02):
     return middles[group] + spread * rng.normal(size=(len(group), 4, 258)), group
 
 
-def test_the_order_of_labels_asks_where_the_model_errs_in_a_way_no_label_has_shown():
-    signals, group = clusters(7, 20, 12)
-    patches = np.eye(3, dtype=bool)[group]  # of each group its own
-    estimated = 1.0 * patches
-    estimated[7:17], estimated[17:27] = [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]  # wrong in two ways
-    known = {k: patches[k] for k in (0, 7, 38)}
+def test_the_order_of_labels_takes_smaller_patches_first_as_often_as_their_signals_occur():
+    signals, group = clusters(8, 16, 56)
+    estimated = np.where(np.arange(80)[:, None] < 48, 0.2, 0.8) * np.ones((80, 3))
+    known = [0, 1, 8, 9, 10, 11]
     order = training_order(signals, estimated, known)
-    assert 17 <= order[0] < 27
-    assert sorted([*order, *known]) == list(range(39))
+    assert sorted([*order, *known]) == list(range(80))
+    chosen = np.bincount(group[[*known, *order[:18]]])
+    assert chosen.tolist() == [4, 8, 12]  # half of each group of smaller patches
+    assert max(order[:42]) < 48
+    assert min(order[42:]) == 48
     assert training_order(signals, estimated, known, 5) == order[:5]
-    assert training_order(signals, estimated, dict(enumerate(patches))) == []
-    assert training_order(signals, estimated, {}, 30) == list(range(30))
+    assert training_order(signals, estimated, range(80)) == []
+    assert group[training_order(signals, estimated, [], 3)].max() == 2
     copies = np.repeat(signals[:2], 3, axis=0)
-    assert sorted(training_order(copies, np.zeros((6, 3)), {2: patches[0]})) == [0, 1, 3, 4, 5]
+    assert sorted(training_order(copies, np.zeros((6, 3)), [2])) == [0, 1, 3, 4, 5]
 
 
-def test_each_label_makes_the_expected_errors_most_alike_a_labelled_one():
-    """Kernel ridge regression of scipy, then a search over all candidates with loops."""
+def test_each_label_brings_the_labelled_signals_closest_to_all():
+    """The maximum mean discrepancy with loops, of signals scaled by hand."""
     rng = np.random.default_rng(5)
     x = rng.normal(size=(24, 3))
     signals = np.zeros((24, 4, 258))
     signals[:, 0, 3], signals[:, 2, 253], signals[:, 3, 257] = x.T * [[0.4], [30.0], [0.02]]
     x = (x - x.mean(axis=0)) / x.std(axis=0)  # each kind of signal counts alike
-    patches, estimated = rng.random((24, 5)) < 0.5, rng.random((24, 5))
-    taken = [17, 4, 9, 20]
-    middle = patches[taken].mean(axis=0)
-    epsilon = 1 / math.sqrt(2 * np.median([[math.dist(a, b) ** 2 for b in x] for a in x]))
-    fit = RBFInterpolator(x[taken], patches[taken] - middle, kernel="gaussian", epsilon=epsilon,
-                          smoothing=0.1, degree=-1)  # fmt: skip
-    error = np.clip(middle + fit(x), 0, 1) - estimated
-    apart = [[math.dist(a, b) ** 2 for b in error] for a in error]
+    apart = [[math.dist(a, b) ** 2 for b in x] for a in x]
     alike = np.exp(-np.array(apart) / (2 * np.median(apart)))
-    for found in training_order(signals, estimated, {k: patches[k] for k in taken}):
-        best = max(
-            (k for k in range(24) if k not in taken),
-            key=lambda k: sum(max(row[j] for j in [*taken, k]) for row in alike),
-        )
-        assert found == best
+    everything, taken = range(24), [17, 4, 9, 20]
+
+    def gain(k):
+        wanted = sum(alike[k][j] for j in everything) / 24
+        return wanted - sum(alike[k][j] for j in taken) / (len(taken) + 1)
+
+    for found in training_order(signals, np.ones((24, 5)), taken[:4]):
+        assert found == max((k for k in everything if k not in taken), key=gain)
         taken.append(found)
     assert len(taken) == 24
 

@@ -32,7 +32,6 @@ from touchdown.backend.config import BenchIdentity, load_lab
 from touchdown.backend.core import (
     CalibrationMeasured,
     Event,
-    HandOverAwaited,
     InputError,
     Progress,
     RefusedError,
@@ -43,7 +42,6 @@ from touchdown.backend.runs import (
     RecordingOptions,
     accept_calibration,
     calibrations_folder,
-    hand_over_message,
 )
 
 RISK = "risk"
@@ -122,7 +120,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     bench = connection.open_bench(args, screen, keep, prepare=lambda _: request, any_gels=any_gels)
     with bench as session, ExitStack() as bars:
         session.calibrations = store
-        told = _CalibrationProgress(screen, bars, session)
+        told = _CalibrationProgress("Calibrating", screen, bars, session)
         session.events.subscribe(told.take)
         with (
             screen.ctrl_c_cancels(session.engine.cancel),
@@ -141,17 +139,10 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
 class _CalibrationProgress(connection.RunProgress):
     measured: CalibrationMeasured | None = None
 
-    def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
-        super().__init__("Calibrating", screen, bars)
-        self._session = session
-
     def take(self, fact: Event) -> None:
         super().take(fact)
         if isinstance(fact, Progress):
             self.move(fact.done, fact.total, fact.text)
-        elif isinstance(fact, HandOverAwaited):
-            self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
-            connection.ask_yes_no_in_thread(self._session.answer)
         elif isinstance(fact, CalibrationMeasured):
             self.measured = fact
 

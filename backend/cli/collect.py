@@ -22,7 +22,6 @@ from touchdown.backend.runs import (
     current_campaign,
     dataset_folder,
     fresh_seed,
-    hand_over_message,
     labelled_coverage,
     mounting_question,
     newest_campaign,
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                 screen.ctrl_c_cancels(session.engine.cancel),
                 connection.held_piece_reported(session, screen),
             ):
-                told = _CollectionProgress(screen, bars, session)
+                told = _CollectionProgress("Collecting", screen, bars, session)
                 session.events.subscribe(told.take)
                 session.run(request)
         return _report(dataset, session, told, screen)
@@ -113,10 +112,6 @@ class _CollectionProgress(connection.RunProgress):
     """Events of a campaign so far."""
 
     began: core.CampaignBegan | None = None
-
-    def __init__(self, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
-        super().__init__("Collecting", screen, bars)
-        self._confirm, self._engine = session.answer, session.engine
 
     def take(self, fact: core.Event) -> None:
         super().take(fact)
@@ -132,17 +127,14 @@ class _CollectionProgress(connection.RunProgress):
             self.screen.say(f"  {at}: {fact.mass_g:.1f} g held")
         elif isinstance(fact, core.MountingAwaited):
             self.screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
-            self._confirm(sys.stdin.readline().strip().lower() in ("y", "yes"))
-        elif isinstance(fact, core.HandOverAwaited):
-            self.screen.say(f"  {hand_over_message(fact)} Enter confirms.")
-            self._confirm(sys.stdin.readline() != "")
+            self.session.answer(sys.stdin.readline().strip().lower() in ("y", "yes"))
         elif isinstance(fact, core.Paused):
             if connection.wait_for_disk_space(fact.fault, self.screen, "campaign"):
-                self._engine.resume()
+                self.session.engine.resume()
             else:
                 # Without an operator the campaign ends and can be resumed.
                 self.faults.append(fact.fault.code)
-                self._engine.cancel()
+                self.session.engine.cancel()
 
 
 PLANS = Path(str(files("touchdown.resources"))) / "recordings"

@@ -283,10 +283,10 @@ def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
 
 
 class RunProgress:
-    """Messages, faults, ending and progress bar of a run; a verb adds the events of its own."""
+    """Messages, hand-overs, faults, ending and bar of a run; a verb adds events of its own."""
 
-    def __init__(self, title: str, screen: VerbOutput, bars: ExitStack) -> None:
-        self._title, self.screen, self._bars = title, screen, bars
+    def __init__(self, title: str, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
+        self._title, self.screen, self._bars, self.session = title, screen, bars, session
         self._advance: AdvanceFunction | None = None
         self.ended: core.RunFinished | None = None
         self.faults: list[str] = []
@@ -295,6 +295,9 @@ class RunProgress:
         """Handle one event."""
         if isinstance(fact, core.Said | core.Noticed):
             self.screen.say(f"  {fact.text}")
+        elif isinstance(fact, core.HandOverAwaited):
+            self.screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
+            ask_yes_no_in_thread(self.session.answer)
         elif isinstance(fact, core.FaultRaised):
             self.faults.append(fact.fault.code)
         elif isinstance(fact, core.RunFinished):

@@ -11,10 +11,12 @@ import shutil
 import sqlite3
 import sys
 from argparse import ArgumentParser
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from queue import Queue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,10 +35,10 @@ from touchdown.backend.calibration.result import (
 from touchdown.backend.cli import calibrate, collect, dataset, main, stack, train
 from touchdown.backend.cli.bench import _show_timing
 from touchdown.backend.cli.collect import coverage_text
-from touchdown.backend.cli.connection import fill_in_scene, wait_for_disk_space
+from touchdown.backend.cli.connection import RunProgress, fill_in_scene, wait_for_disk_space
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import load_lab
-from touchdown.backend.core import Fault, PhaseEntered, RunFinished
+from touchdown.backend.core import Fault, HandOverAwaited, PhaseEntered, RunFinished
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.rig.diagnostics import SensorTiming
@@ -155,7 +157,7 @@ class Bench:
 def reported(folder: Path, found, *, accept: bool) -> tuple[int, dict]:
     stream = io.StringIO()
     screen = VerbOutput(json=True, stream=stream)
-    told = calibrate._CalibrationProgress(screen, None, None)
+    told = calibrate._CalibrationProgress("Calibrating", screen, None, None)
     told.take(RunFinished(1.0, "r", "finished", "Done."))
     if found is not None:
         told.take(found)
@@ -674,3 +676,15 @@ def test_an_enter_goes_on_and_nobody_is_waited_for_in_vain(
     assert sys.stdin.read() == left
     assert ("0.42 GB" in said.getvalue()) is not json
     assert ("press Enter" in said.getvalue()) is (waits and not json)
+
+
+@pytest.mark.parametrize(("typed", "confirmed"), [("\n", True), ("n\n", False), ("", False)])
+def test_a_hand_over_is_confirmed_without_blocking_the_run(monkeypatch, typed, confirmed) -> None:
+    answers, said = Queue(), io.StringIO()
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    session = SimpleNamespace(answer=answers.put)
+    told = RunProgress("Collecting", VerbOutput(stream=said), ExitStack(), session)
+    told.take(HandOverAwaited(0.0, "pot", gives=True))
+    assert answers.get(timeout=5.0) is confirmed
+    assert "pot" in said.getvalue()
+    assert "Enter confirms." in said.getvalue()

@@ -7,8 +7,6 @@ piece begins to turn, the jaws close again and the run goes on.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -85,12 +83,8 @@ def _open_in_stages(
             moved_mm=moved_mm,
         )
         yield from motion_done(opening, motions.GRIP_S, "the gripper to open by a step")
-        since_s, until_s = bench.now_s() + FRAME_S, bench.now_s() + STAGE_S
-        turned = partial(_has_turned, bench, watch, since_s)
-        over = partial(_is_over, bench, until_s, turned)
-        yield Wait(over, 2.0 * STAGE_S, "the next step")
-        watched = watch.keep(since_s, bench.now_s())
-        if turned() or (step == settings.stages and _leans(bench, watch)):
+        turned, watched = yield from _hold_step(bench, watch)
+        if turned or (step == settings.stages and _leans(bench, watch)):
             return (yield from _hold_again(bench, probe, step))
         if not watched:
             raise core.RefusedError("NOT-WATCHED", UNWATCHED)
@@ -99,21 +93,25 @@ def _open_in_stages(
     return True
 
 
-def _has_turned(bench: Bench, watch: TurnDetector, since_s: float) -> bool:
-    return watch.hold(since_s, bench.now_s()) > bench.settings.release.turn_sigmas
+def _hold_step(bench: Bench, watch: TurnDetector) -> Plan[tuple[bool, bool]]:
+    """Hold until the piece turns or the step is over; return if it turned and was watched."""
+    since_s, until_s = bench.now_s() + FRAME_S, bench.now_s() + STAGE_S
+
+    def turned() -> bool:
+        return watch.hold(since_s, bench.now_s()) > bench.settings.release.turn_sigmas
+
+    yield Wait(lambda: bench.now_s() >= until_s or turned(), 2.0 * STAGE_S, "the next step")
+    watched = watch.keep(since_s, bench.now_s())
+    return turned(), watched
 
 
 def _leans(bench: Bench, watch: TurnDetector) -> bool:
     """Return True if the piece leans on a finger, judged after the last step."""
-    release = bench.settings.release
-    load = watch.load() - _free_load(bench)
-    return watch.growth() > release.turn_sigmas or lean_sigmas(load) > release.lean_sigmas
-
-
-def _free_load(bench: Bench) -> core.FloatArray:
-    """Return the wrench (6,) of the hand once it is free of the piece, which the tare includes."""
-    weight_n, (x, y) = _weight_n(bench), bench.piece.com_xy_mm
-    return np.array([0.0, 0.0, weight_n, 1e-3 * y * weight_n, -1e-3 * x * weight_n, 0.0])
+    release, weight_n, (x, y) = bench.settings.release, _weight_n(bench), bench.piece.com_xy_mm
+    # Load of the hand once it is free of the piece, which the tare includes.
+    free = np.array([0.0, 0.0, weight_n, 1e-3 * y * weight_n, -1e-3 * x * weight_n, 0.0])
+    lean = lean_sigmas(watch.load() - free)
+    return watch.growth() > release.turn_sigmas or lean > release.lean_sigmas
 
 
 def lean_sigmas(load: core.FloatArray) -> float:
@@ -126,10 +124,6 @@ def lean_sigmas(load: core.FloatArray) -> float:
 
 def _weight_n(bench: Bench) -> float:
     return 1e-3 * bench.piece.mass_g * STANDARD_GRAVITY_M_S2
-
-
-def _is_over(bench: Bench, until_s: float, turned: Callable[[], bool]) -> bool:
-    return bench.now_s() >= until_s or turned()
 
 
 def _hold_again(bench: Bench, probe: int, step: int) -> Plan[bool]:

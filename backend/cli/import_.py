@@ -88,8 +88,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
         screen.say(f"  {count} cannot be mapped: {why}.")
     for loss in survey.losses:
         screen.say(f"  {loss}")
-    written: list[str] = []
-    backup = ""
+    written, backup = list[str](), ""
     if survey.fit and not args.check and (args.force or not survey.contradictions):
         with screen.progress("Writing", survey.fit) as advance:
             written = wanted.write(advance)

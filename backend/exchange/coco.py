@@ -57,9 +57,8 @@ def write(job: ExportJob, folder: Path) -> Mapping[str, object]:
     for one in job.chosen:
         pair = job.dataset.geometry.pair(one.revision.geometry)
         path = job.dataset.folder / one.entry.path
-        contents = (
-            episodes.ChunkContents() if one.entry.mode == "mass" else episodes.read_whole(path)
-        )
+        is_packed = one.entry.mode == "mass"
+        contents = episodes.ChunkContents() if is_packed else episodes.read_whole(path)
         canvas, picture = _scene(contents) or (drawn_canvas(pair), None)
         name = f"{one.revision.geometry[:16] if picture is None else one.entry.uuid}-scene.png"
         if not (folder / PICTURES / name).exists():
@@ -249,9 +248,8 @@ def _row(
 ) -> ImportedLabel:
     """Return one offset; ``board`` maps mm of the bottom frame to px."""
     at_px = np.array(annotation["keypoints"][:2], dtype=np.float64)
-    ((x_mm, y_mm),) = (
-        Homography(np.asarray(np.linalg.inv(board.matrix), np.float64), 0.0).to_px(at_px).tolist()
-    )
+    inverse = Homography(np.asarray(np.linalg.inv(board.matrix), np.float64), 0.0)
+    ((x_mm, y_mm),) = inverse.to_px(at_px).tolist()
     x_um, y_um = round(x_mm * 1e3), round(y_mm * 1e3)
     was = Label(**annotation["label"]) if "label" in annotation else None
     moved = was is None or (was.x_um, was.y_um) != (x_um, y_um)

@@ -125,8 +125,9 @@ def _whole(text: str | None, name: str, path: Path, line: int) -> int | None:
         whole = int(value)
     except (InvalidOperation, ValueError, OverflowError) as error:
         raise _bad(path, line, f"{name} is no number: {text[:40]!r}.") from error
-    if whole != value or abs(whole) > 10**9:
-        raise _bad(path, line, f"{name} is finer than 0.001 or too large: {text[:40]!r}.")
+    most = 360_000 if name == "theta_deg" else 100_000
+    if whole != value or not (0 if name == "sigma_mm" else -most) <= whole <= most:
+        raise _bad(path, line, f"{name} is finer than 0.001, too large or negative: {text[:40]!r}.")
     return whole
 
 

@@ -181,16 +181,13 @@ def _recording(values: Mapping[str, NDArray[Any]], *, commanded: bool) -> core.R
     step_ns, size = features.TICK_NS // features.WINDOW, features.WINDOW * SAMPLES_PER_PROBE
     fine_ns = step_ns * np.arange(1, size + 1)
     ticks_s = 1e-9 * features.TICK_NS * np.arange(1, SAMPLES_PER_PROBE + 1, dtype=np.float64)
-    wrench: core.FloatArray = (
-        values[features.FT_WINDOW].reshape(-1, core.WRENCH_CHANNELS).astype(np.float64)
-    )
     action = values.get(features.ACTION, np.zeros(0)) if commanded else np.zeros(0)
     command_mm = _position_mm(
         action if action.shape == (SAMPLES_PER_PROBE, 7) else np.zeros((0, 3))
     )
     return core.Recording(
         wrench_t_s=np.asarray(fine_ns * 1e-9, dtype=np.float64),
-        wrench=wrench,
+        wrench=values[features.FT_WINDOW].reshape(-1, core.WRENCH_CHANNELS).astype(np.float64),
         fields=(),
         frames=_frames(values, ticks_s),
         pose_t_s=ticks_s,
@@ -431,7 +428,7 @@ class EpisodeImport:
             fix = "Name them with --piece and --bottom."
             raise core.InputError(what, str(self._source), fix)
         pieces = load_pieces()
-        top, bottom = pieces.piece(self._options.piece), pieces.piece(self._options.bottom)
+        top, bottom = pieces.top(self._options.piece), pieces.bottom(self._options.bottom)
         return self._dataset.geometry.store_pair(top, bottom)
 
     def _copy_geometry(self) -> None:

@@ -84,8 +84,7 @@ def import_labels(
     name = check_person(person)
     listed = list(rows)
     refused: list[tuple[str, str]] = []
-    draft = OperationDraft()
-    unchanged = 0
+    draft, unchanged, changed = OperationDraft(), 0, set[object]()
     for row in listed:
         try:
             change = _change(dataset, row, name)
@@ -94,7 +93,10 @@ def import_labels(
             continue
         if change is None:
             unchanged += 1
+        elif change["episode"] in changed:
+            refused.append((row.episode, "An earlier row has the same episode."))
         else:
+            changed.add(change["episode"])
             draft.revs.append(change)
     backup = None
     if draft.revs and not check:

@@ -135,7 +135,8 @@ def _pose_mm(recording: core.Recording, at_s: float) -> core.FloatArray:
 def measure_press(press: ForeignEpisode) -> dict[str, core.FloatArray]:
     """Return the changes from air to the end of a press; NaN where a signal has no samples.
 
-    ``wrench`` (6,), and ``weight`` (6,) in air; ``pose`` (3,) in mm from contact. Of the fingers:
+    ``wrench`` (6,), and ``weight`` (6,) in air; ``pose`` (3,) in mm from contact, ``offset``
+    (2,) of the label in mm, 0 without one. Of the fingers:
     ``shift`` (2, 2) in px, ``turn`` (2,) in rad from u towards v, and ``lag`` (2,) in s behind the
     force.
     """
@@ -154,6 +155,7 @@ def measure_press(press: ForeignEpisode) -> dict[str, core.FloatArray]:
         "wrench": wrench[HELD].mean(axis=0),
         "weight": r.tare,
         "pose": _pose_mm(r, CONTACT_S + tick_s[HELD][-1]) - _pose_mm(r, CONTACT_S),
+        "offset": np.asarray(press.values.get(features.OFFSET, np.zeros(2))),
         "shift": held.mean(axis=-1),
         "turn": (u * held[:, 1] - v * held[:, 0]).sum(axis=1) / (u**2 + v**2).sum(),
         "lag": lags[np.argmax(fit, axis=1)],
@@ -161,7 +163,7 @@ def measure_press(press: ForeignEpisode) -> dict[str, core.FloatArray]:
 
 
 MOST_N, MOST_MM, LEAST_MM, MOST_PX, LEAST_PX = 300.0, 30.0, 0.02, 120.0, 0.5
-MOST_LEVER_M, LEAST_LEVER_M, MOST_LAG_S = 0.5, 1e-4, 0.08
+MOST_LEVER_M, LEAST_LEVER_M, MOST_LAG_S, FAR_MM = 0.5, 1e-4, 0.08, 100.0
 TURN_RAD, TURN_NM = 2e-3, 0.02  # smaller ones do not count
 USUAL_N, USUAL_LEVER_M, USUAL_MM = 8.0, 0.02, 1.0  # of a press; an unknown unit comes nearest
 
@@ -260,6 +262,9 @@ def _hand_checks(middle: Mapping[str, core.FloatArray], mapping: ImportMapping
         way = f"goes up by {travel[2]:.2f} mm" if travel_axis == "z" else way
         text = f"The arm {way} while pressed: 'axes' of 'pose'."
         yield Contradiction(text, _axes("pose", pose.axes, travel, -1.0))
+    elif (far_mm := float(np.abs(middle["offset"]).max())) > FAR_MM:
+        yield Contradiction(f"The face lies {far_mm:.0f} mm off the bottom that it touches: "
+                            "'origin_mm', in mm, or 'axes' of 'pose'.")  # fmt: skip
 
 
 def _marker_checks(middle: Mapping[str, core.FloatArray], mapping: ImportMapping

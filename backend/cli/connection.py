@@ -296,8 +296,7 @@ class RunProgress:
         if isinstance(fact, core.Said | core.Noticed):
             self.screen.say(f"  {fact.text}")
         elif isinstance(fact, core.HandOverAwaited):
-            self.screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
-            ask_yes_no_in_thread(self.session.answer)
+            answer_prompt(fact, self.session, self.screen)
         elif isinstance(fact, core.FaultRaised):
             self.faults.append(fact.fault.code)
         elif isinstance(fact, core.RunFinished):
@@ -321,12 +320,12 @@ OUTCOME_HELP = "s: stands, f: fell, d: disturbed, v and reason: void. Enter: as 
 
 def answer_prompt(fact: core.Event, session: Session, screen: VerbOutput) -> None:
     """Print the question of an event and answer it; bench and STOP stay responsive."""
-    if isinstance(fact, core.SetUpAwaited | core.HandOverAwaited):
-        if isinstance(fact, core.SetUpAwaited):
-            screen.say(f"  {runs.scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
-        else:
-            screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
+    if isinstance(fact, core.SetUpAwaited):
+        screen.say(f"  {runs.scene_to_set_message(fact)} Enter: ready. Ctrl-D: end the run.")
         _read_line_in_thread(lambda line: session.answer(line != ""))
+    elif isinstance(fact, core.HandOverAwaited):
+        screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
+        ask_yes_no_in_thread(session.answer)
     elif isinstance(fact, core.OutcomeAwaited):
         screen.say(f"  {runs.outcome_question(fact)} {OUTCOME_HELP}")
         _read_line_in_thread(lambda line: _judge(line, fact, session, screen))

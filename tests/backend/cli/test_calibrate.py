@@ -35,7 +35,12 @@ from touchdown.backend.calibration.result import (
 from touchdown.backend.cli import calibrate, collect, dataset, main, stack, train
 from touchdown.backend.cli.bench import _show_timing
 from touchdown.backend.cli.collect import coverage_text
-from touchdown.backend.cli.connection import RunProgress, fill_in_scene, wait_for_disk_space
+from touchdown.backend.cli.connection import (
+    RunProgress,
+    answer_prompt,
+    fill_in_scene,
+    wait_for_disk_space,
+)
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import load_lab
 from touchdown.backend.core import Fault, HandOverAwaited, PhaseEntered, RunFinished
@@ -678,13 +683,19 @@ def test_an_enter_goes_on_and_nobody_is_waited_for_in_vain(
     assert ("press Enter" in said.getvalue()) is (waits and not json)
 
 
+@pytest.mark.parametrize("verb", ["stack", "collect"])
 @pytest.mark.parametrize(("typed", "confirmed"), [("\n", True), ("n\n", False), ("", False)])
-def test_a_hand_over_is_confirmed_without_blocking_the_run(monkeypatch, typed, confirmed) -> None:
+def test_a_hand_over_is_confirmed_without_blocking_the_run(
+    monkeypatch, verb, typed, confirmed
+) -> None:
     answers, said = Queue(), io.StringIO()
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
     session = SimpleNamespace(answer=answers.put)
-    told = RunProgress("Collecting", VerbOutput(stream=said), ExitStack(), session)
-    told.take(HandOverAwaited(0.0, "pot", gives=True))
+    screen, event = VerbOutput(stream=said), HandOverAwaited(0.0, "pot", gives=True)
+    if verb == "stack":
+        answer_prompt(event, session, screen)
+    else:
+        RunProgress("Collecting", screen, ExitStack(), session).take(event)
     assert answers.get(timeout=5.0) is confirmed
     assert "pot" in said.getvalue()
     assert "Enter confirms." in said.getvalue()

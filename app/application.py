@@ -251,9 +251,8 @@ class TouchdownApp(QObject):
         if self.bench is not None:
             self.bench.stop()
             shell.log.info("STOP by the operator")
-            self.cards.show_card(
-                shell.stopped_card(partial(shell.lift_hand, self.bench, self.cards))
-            )
+            lift = partial(shell.lift_hand, self.bench, self.cards)
+            self.cards.show_card(shell.stopped_card(lift))
             self.cards.show_offer(STOPPED, shell.is_pressing(self.bench))
 
     def reset(self) -> None:
@@ -369,13 +368,11 @@ class TouchdownApp(QObject):
             self.panels.calibrate.open(what)
 
     def _connect_again(self) -> None:
-        if self.bench is not None:
-            if not self.panels.open_connect():
-                self.say(
-                    "The simulated bench needs no connection. Ctrl+Shift+B opens a bench file."
-                )
-        elif self._make is not None:
-            self.connect_bench(self._make, self._bench_file)
+        if self.bench is None:
+            if self._make is not None:
+                self.connect_bench(self._make, self._bench_file)
+        elif not self.panels.open_connect():
+            self.say("The simulated bench needs no connection. Ctrl+Shift+B opens a bench file.")
 
     def _reset_layout(self) -> None:
         self.window.showNormal()

@@ -170,10 +170,8 @@ class StackPresenter:
             self._page.run.show_buttons(buttons)
         text = tr("trial {} of {}", status.trial, status.trials) if active and status.trial else ""
         if text and status.phase and status.probe:
-            phase = tr(status.phase)
-            if status.steps:
-                phase = tr("step {} of {}", status.step, status.steps)
-            text += f", {tr('probe {}: {}', status.probe, phase)}"
+            step = tr("step {} of {}", status.step, status.steps) if status.steps else ""
+            text += f", {tr('probe {}: {}', status.probe, step or tr(status.phase))}"
         self._page.run.detail.setText(text)
         # Leaves the width of the header to the progress.
         self._page.add_piece.setVisible(not active)

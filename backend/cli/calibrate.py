@@ -99,10 +99,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         return _status(_store_of(args), screen)
     what: CalibrationName = args.what
     if what == "day" and args.last:
-        identity = (
-            load_lab(Path(args.bench)).identity if connection.at_lab(args) else BenchIdentity()
-        )
-        store = _store_of(args)
+        at_lab, store = connection.at_lab(args), _store_of(args)
+        identity = load_lab(Path(args.bench)).identity if at_lab else BenchIdentity()
         return _report_day(store, store.day_checks(identity), screen)
     connection.fill_in_scene(args, BOTTOM)
     connection.refuse_hidden_prompt(args, screen)
@@ -132,8 +130,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         if told.measured is None:
             reason = "" if told.ended is None else told.ended.reason
             raise RefusedError("NO-CHECK", reason, "Run the check again.")
-        assert session.calibrations is not None
-        return _report_day(session.calibrations, session.day_checks, screen)
+        return _report_day(store, session.day_checks, screen)
 
 
 class _CalibrationProgress(connection.RunProgress):

@@ -134,9 +134,8 @@ def _hold_again(bench: Bench, probe: int, step: int) -> Plan[bool]:
     if (yield from motions.hold_again(bench)):
         bench.sensing.forget_references()
         return False
-    yield core.Said(
-        bench.now_s(), "The jaws closed on nothing: the piece is no longer between them."
-    )
+    text = "The jaws closed on nothing: the piece is no longer between them."
+    yield core.Said(bench.now_s(), text)
     settings, width_mm = bench.settings.release, bench.piece.width_mm
     wide = bench.gripper.open_to(width_mm + 2.0 * settings.clearance_mm, settings.open_mm_s)
     yield from _open_wide(bench, probe, wide)
@@ -149,9 +148,8 @@ def open_and_rise(
     """Open slowly until both fingers are clear, then rise."""
     settings = bench.settings.release
     open_mm = width_mm + 2.0 * settings.clearance_mm
-    yield from _open_wide(
-        bench, probe, bench.gripper.release(evidence, open_mm, settings.open_mm_s)
-    )
+    opening = bench.gripper.release(evidence, open_mm, settings.open_mm_s)
+    yield from _open_wide(bench, probe, opening)
 
 
 def _open_wide(bench: Bench, probe: int, opening: Motion) -> Plan[None]:

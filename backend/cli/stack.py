@@ -40,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
     parser.add_argument("--trials", type=int, default=1)
     parser.add_argument("--strategy", choices=get_args(StrategyChoice), default="paper")
-    parser.add_argument("--model", metavar="FILE", help="checkpoint (default: the one in use)")
+    known = "checkpoint (default: the one in use); the networks of fused decide without it"
+    parser.add_argument("--model", metavar="FILE", help=known)
     parser.add_argument(
         "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
     )

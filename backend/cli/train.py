@@ -130,10 +130,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                     )
                     answer |= report.model_dump(mode="json", exclude={"kind", "done"})
                 case TrainingEpoch():
-                    words = (
-                        f"loss {report.train_loss:.4f} / {report.validation_loss:.4f}  "
-                        f"IoU {100 * report.iou:.1f} %"
-                    )
+                    losses = f"{report.train_loss:.4f} / {report.validation_loss:.4f}"
+                    words = f"loss {losses}  IoU {100 * report.iou:.1f} %"
                     advance(report.epoch, words)
                     screen.say(f"epoch {report.epoch:3d}/{report.epochs}  {words}")
                     exclude = {"kind", "epochs", "reliability"}
@@ -146,6 +144,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
                     )
                     if text := pretraining_text(load_card(report.out)):
                         screen.say(text)
+                    if report.best_epoch == 0:
+                        screen.say("No epoch was better: the weights are those of that model.")
                     answer |= report.model_dump(mode="json", exclude={"kind"})
                 case TrainingCancelled():
                     screen.say(f"Cancelled after epoch {report.done}; continue with --resume.")

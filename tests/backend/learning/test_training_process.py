@@ -577,6 +577,9 @@ def test_fine_tuning_adapts_a_model_to_a_shifted_bench(
     shown = " ".join(capsys.readouterr().out.split())
     assert f"Fine-tuned from the model {origin.weights_sha256[:12]}" in shown
     assert f"{counts[1]} of the training probes were mixed in." in shown
+    coarse = ["--learning-rate", "1", "--epochs", "1", "--out", str(tmp_path / "worse.safetensors")]
+    assert main(["train", str(lab), "--from", str(tuned), *coarse]) == 0
+    assert "No epoch was better: the weights are those of" in capsys.readouterr().out
 
 
 def test_a_checkpoint_that_does_not_fit_is_not_fine_tuned(

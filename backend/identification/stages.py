@@ -52,6 +52,7 @@ Json = dict[str, Any]
 Tell = Callable[[str, int, int], None]  # stage, done, total
 VERSION = 4  # of the stored results; raised when a stage computes something else
 STARTS, START_PRESSES, ROUNDS, EVALUATIONS = 3, 36, 10, 6
+USUAL_ROUNDS = 4  # expected for the remaining time; a later round adds its own
 # After the first round a fit with a larger misfit is repeated with the next larger error of the
 # model, a share of the signals: otherwise what the model lacks determines the stiffness.
 LARGEST_MISFIT, DISCREPANCIES = 2.0, (0.01, 0.02, 0.05, 0.1)
@@ -181,7 +182,8 @@ def fit_mechanics(
 
         def count() -> None:
             done[0] = min(done[0] + len(part) / (len(unknowns) + 5), float(work[step]))
-            tell(name, int(work[:step].sum() + done[0]), int(work.sum()))
+            expected = work[: max(STARTS + USUAL_ROUNDS, step + 1)]
+            tell(name, int(work[:step].sum() + done[0]), int(expected.sum()))
 
         model = PressModel(part, nominal, library)
         channels = measured_channels(part, basis)

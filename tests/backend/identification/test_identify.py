@@ -57,6 +57,7 @@ from touchdown.backend.identification.sensors import (
 from touchdown.backend.identification.stages import (
     ROUNDS,
     STARTS,
+    USUAL_ROUNDS,
     Gate,
     Mechanics,
     StageStore,
@@ -563,12 +564,12 @@ def full_disk():
         yield
 
 
-def fitted(monkeypatch, store, end=99, moved=0.1, misfit=None):
+def fitted(monkeypatch, store, end=99, moved=0.1, misfit=None, told=None):
     """Fit 6 presses with steps that take no time; cancel at the prediction ``end``.
 
-    ``misfit``: of the fits by their error of the model, 1 by default.
+    ``misfit``: of the fits by their error of the model, 1 by default. ``told``: gets the progress.
     """
-    runs = []
+    runs, told = [], [] if told is None else told
 
     def run(self, start, evaluations):
         self.tell()
@@ -577,7 +578,8 @@ def fitted(monkeypatch, store, end=99, moved=0.1, misfit=None):
         left = (misfit or {}).get(self.discrepancy, 1.0)
         return FitResult(start, nothing, np.ones(len(start)), 1.0, left, moved)
 
-    def tell(_stage, _done, _total):
+    def tell(_stage, done, total):
+        told.append((done, total))
         if len(runs) == end:
             raise KeyboardInterrupt
 
@@ -599,8 +601,17 @@ def test_a_cancelled_fit_continues_from_its_finished_parts(monkeypatch, tmp_path
 
 
 def test_a_fit_that_keeps_moving_does_not_converge(monkeypatch, tmp_path):
-    found, runs = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"), moved=2.0)
+    told = []
+    store = StageStore(tmp_path / "stages", "inputs")
+    found, runs = fitted(monkeypatch, store, moved=2.0, told=told)
     assert runs == STARTS + ROUNDS
+    done, total = zip(*told, strict=True)
+    # The remaining time counts the usual rounds, until a further one begins.
+    one = total[-1] / (STARTS + ROUNDS)
+    usual = [one * (STARTS + USUAL_ROUNDS)] * (STARTS + USUAL_ROUNDS)
+    assert total == (*usual, *(one * (k + 1) for k in range(len(usual), runs)))
+    assert all(0 <= d < t for d, t in told)
+    assert sorted(done) == list(done)
     assert not found.converged
 
 

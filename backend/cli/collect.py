@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from contextlib import ExitStack
 from importlib.resources import files
 from pathlib import Path
@@ -23,7 +22,6 @@ from touchdown.backend.runs import (
     dataset_folder,
     fresh_seed,
     labelled_coverage,
-    mounting_question,
     newest_campaign,
     read_campaign,
     read_examined_episodes,
@@ -125,9 +123,6 @@ class _CollectionProgress(connection.RunProgress):
         elif isinstance(fact, core.Gripped):
             at = f"mounting {fact.mounting}, grip {fact.grip}"
             self.screen.say(f"  {at}: {fact.mass_g:.1f} g held")
-        elif isinstance(fact, core.MountingAwaited):
-            self.screen.say(f"  {mounting_question(fact)} Type y for yes; Enter: no.")
-            self.session.answer(sys.stdin.readline().strip().lower() in ("y", "yes"))
         elif isinstance(fact, core.Paused):
             if connection.wait_for_disk_space(fact.fault, self.screen, "campaign"):
                 self.session.engine.resume()

@@ -283,7 +283,7 @@ def ask_yes_no_in_thread(answer: Callable[[bool], None]) -> None:
 
 
 class RunProgress:
-    """Messages, hand-overs, faults, ending and bar of a run; a verb adds events of its own."""
+    """Messages, questions, faults, ending and bar of a run; a verb adds events of its own."""
 
     def __init__(self, title: str, screen: VerbOutput, bars: ExitStack, session: Session) -> None:
         self._title, self.screen, self._bars, self.session = title, screen, bars, session
@@ -295,7 +295,7 @@ class RunProgress:
         """Handle one event."""
         if isinstance(fact, core.Said | core.Noticed):
             self.screen.say(f"  {fact.text}")
-        elif isinstance(fact, core.HandOverAwaited):
+        elif isinstance(fact, core.HandOverAwaited | core.MountingAwaited):
             answer_prompt(fact, self.session, self.screen)
         elif isinstance(fact, core.FaultRaised):
             self.faults.append(fact.fault.code)
@@ -326,6 +326,9 @@ def answer_prompt(fact: core.Event, session: Session, screen: VerbOutput) -> Non
     elif isinstance(fact, core.HandOverAwaited):
         screen.say(f"  {runs.hand_over_message(fact)} Enter confirms.")
         ask_yes_no_in_thread(session.answer)
+    elif isinstance(fact, core.MountingAwaited):
+        screen.say(f"  {runs.mounting_question(fact)} Type y for yes; Enter: no.")
+        _read_line_in_thread(lambda line: session.answer(line.strip().lower() in ("y", "yes")))
     elif isinstance(fact, core.OutcomeAwaited):
         screen.say(f"  {runs.outcome_question(fact)} {OUTCOME_HELP}")
         _read_line_in_thread(lambda line: _judge(line, fact, session, screen))

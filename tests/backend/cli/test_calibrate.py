@@ -10,6 +10,7 @@ import shlex
 import shutil
 import sqlite3
 import sys
+import threading
 from argparse import ArgumentParser
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -43,7 +44,13 @@ from touchdown.backend.cli.connection import (
 )
 from touchdown.backend.cli.output import VerbOutput, progress_lines
 from touchdown.backend.config import load_lab
-from touchdown.backend.core import Fault, HandOverAwaited, PhaseEntered, RunFinished
+from touchdown.backend.core import (
+    Fault,
+    HandOverAwaited,
+    MountingAwaited,
+    PhaseEntered,
+    RunFinished,
+)
 from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.geometry.outlines import circle
 from touchdown.backend.rig.diagnostics import SensorTiming
@@ -699,3 +706,25 @@ def test_a_hand_over_is_confirmed_without_blocking_the_run(
     assert answers.get(timeout=5.0) is confirmed
     assert "pot" in said.getvalue()
     assert "Enter confirms." in said.getvalue()
+
+
+@pytest.mark.parametrize(("typed", "confirmed"), [("y\n", True), ("\n", False), ("", False)])
+def test_a_mounting_is_confirmed_by_y_alone_and_does_not_block_the_run(
+    monkeypatch, typed, confirmed
+) -> None:
+    answers, said, may_read = Queue(), io.StringIO(), threading.Event()
+
+    def read() -> str:
+        assert may_read.wait(5.0)
+        return typed
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=read))
+    session = SimpleNamespace(answer=answers.put)
+    screen = VerbOutput(stream=said)
+    RunProgress("Collecting", screen, ExitStack(), session).take(
+        MountingAwaited(0.0, "circle15", 2)
+    )
+    assert answers.empty()
+    may_read.set()
+    assert answers.get(timeout=5.0) is confirmed
+    assert "circle15" in said.getvalue()

@@ -32,8 +32,9 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    watch = threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True)
-    watch.start()
+    # DIR is in use until the parent ends this process. No daemon: the interpreter waits for it,
+    # also where the parent was killed and an answer cannot be written.
+    threading.Thread(target=_leave_with_parent, args=(folder,)).start()
     name, function = ("mapping", "read") if mapping else READERS[kind]
     read = getattr(import_module(f"touchdown.backend.exchange.{name}"), function)
     given = (kind, Path(source), Path(mapping)) if mapping else (Path(source),)
@@ -54,7 +55,6 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
             _tell({"error": what, "where": source, "fix": "Use another copy, or export it again."})
     else:
         _tell({"done": True})
-    watch.join()  # DIR is in use until the parent ends this process
 
 
 def _leave_with_parent(folder: str) -> None:

@@ -183,6 +183,26 @@ def test_a_killed_import_leaves_neither_its_reader_nor_its_files(tmp_path):
     assert (len(gone), alive, list(place.iterdir())) == (1, [], [])
 
 
+def test_a_reader_without_a_listener_deletes_its_files_before_it_ends(tmp_path):
+    folder = tmp_path / "read"
+    folder.mkdir()
+    words = ["lerobot", str(lerobot_21(tmp_path / "set")), str(folder)]
+    with subprocess.Popen(
+        [sys.executable, "-m", foreign_child.__name__, *words],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as child:  # fmt: skip
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert any(b"BrokenPipe" in line for line in child.stderr)
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(0.5)
+        child.stdin.close()
+        child.wait(20.0)
+    assert not folder.exists()
+
+
 def test_a_full_disk_of_temporary_files_is_told(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

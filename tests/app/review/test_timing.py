@@ -342,7 +342,8 @@ def test_pictures_tables_and_pages_hold_what_is_shown(told, tmp_path):
     assert review.page.decision._text.text().endswith(estimate)
     assert review.page.decision._result.text() == "\N{CHECK MARK} Placed", "not the estimate"
     iou = f"IoU {float(last['iou_percent']):.0f} %"
-    assert f"{iou}, " in review.page.estimate.text()
+    accuracy = f"{float(last['accuracy_percent']):.0f} % of the points right"
+    assert f"{iou}, {accuracy}" in review.page.estimate.text()
     assert iou in review.page.strip.thumbnails[-1].caption.text()
     picture = base64.b64decode(root.find(".//img").get("src").partition(",")[2])
     shown = QImage.fromData(picture)

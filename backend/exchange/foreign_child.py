@@ -14,6 +14,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -32,9 +33,8 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    # DIR is in use until the parent ends this process. No daemon: the interpreter waits for it,
-    # also where the parent was killed and an answer cannot be written.
-    threading.Thread(target=_leave_with_parent, args=(folder,)).start()
+    watch = threading.Thread(target=_leave_with_parent, args=(folder,), daemon=True)
+    watch.start()
     name, function = ("mapping", "read") if mapping else READERS[kind]
     read = getattr(import_module(f"touchdown.backend.exchange.{name}"), function)
     given = (kind, Path(source), Path(mapping)) if mapping else (Path(source),)
@@ -55,6 +55,7 @@ def main(kind: str, source: str, folder: str, mapping: str = "") -> None:
             _tell({"error": what, "where": source, "fix": "Use another copy, or export it again."})
     else:
         _tell({"done": True})
+    watch.join()  # DIR is in use until the parent ends this process
 
 
 def _leave_with_parent(folder: str) -> None:
@@ -67,8 +68,10 @@ def _leave_with_parent(folder: str) -> None:
 
 
 def _tell(answer: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(answer) + "\n")
-    sys.stdout.flush()
+    # If the parent was killed, the other thread still has to delete DIR.
+    with suppress(BrokenPipeError):
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -10,10 +10,12 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -183,24 +185,20 @@ def test_a_killed_import_leaves_neither_its_reader_nor_its_files(tmp_path):
     assert (len(gone), alive, list(place.iterdir())) == (1, [], [])
 
 
-def test_a_reader_without_a_listener_deletes_its_files_before_it_ends(tmp_path):
-    folder = tmp_path / "read"
-    folder.mkdir()
-    words = ["lerobot", str(lerobot_21(tmp_path / "set")), str(folder)]
-    with subprocess.Popen(
-        [sys.executable, "-m", foreign_child.__name__, *words],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as child:  # fmt: skip
-        assert child.stdin is not None
-        assert child.stdout is not None
-        assert child.stderr is not None
-        child.stdout.close()
-        assert any(b"BrokenPipe" in line for line in child.stderr)
-        with pytest.raises(subprocess.TimeoutExpired):
-            child.wait(0.5)
-        child.stdin.close()
-        child.wait(20.0)
-    assert not folder.exists()
+def test_a_reader_without_a_listener_waits_for_the_deletion_of_its_files(tmp_path, monkeypatch):
+    def broken(*_: object) -> None:
+        raise BrokenPipeError
+
+    def leave(folder: str) -> None:
+        threading.Event().wait(0.3)
+        left.append(folder)
+
+    left: list[str] = []
+    monkeypatch.setattr(foreign_child, "_leave_with_parent", leave)
+    monkeypatch.setattr("resource.setrlimit", lambda *_: None)
+    monkeypatch.setattr("sys.stdout", SimpleNamespace(write=broken, flush=broken))
+    foreign_child.main("lerobot", str(lerobot_21(tmp_path / "set")), str(tmp_path))
+    assert left == [str(tmp_path)]
 
 
 def test_a_full_disk_of_temporary_files_is_told(tmp_path, monkeypatch):

@@ -234,7 +234,9 @@ class ProcessPool:
 
     def close(self) -> None:
         """Finish the running jobs, start no others, end all workers; kill stalled ones."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        # A shutdown that does not wait leaves its thread, whose end disturbs the exit of Python.
+        ending = threading.Thread(target=lambda: self._pool.shutdown(cancel_futures=True))
+        ending.start()
         while any(
             self._workers.has_begun(self._running[future].id)
             for future in wait(self._running, POLL_S).not_done
@@ -242,7 +244,7 @@ class ProcessPool:
             still, _ = self._workers.look({spec.id for spec in self._running.values()})
             self._workers.kill(still)
         self._workers.end()
-        self._pool.shutdown(wait=True)
+        ending.join()
         self._running.clear()
 
     def _submitted(self, spec: JobSpec) -> Future[JobResult]:

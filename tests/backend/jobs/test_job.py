@@ -10,8 +10,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import process
 from contextlib import suppress
 from pathlib import Path
 from unittest import mock
@@ -214,6 +216,21 @@ def test_an_interrupt_of_the_terminal_ends_workers_silently(busy, tmp_path):
     os.killpg(program.pid, signal.SIGINT)
     _, said = program.communicate(timeout=60)
     assert (program.returncode, said) == (130, "")
+
+
+def test_a_closed_pool_leaves_no_thread(tmp_path, monkeypatch):
+    store, before = JobStore(tmp_path), set(threading.enumerate())
+    kind = process._ExecutorManagerThread
+    last_step = kind.join_executor_internals
+
+    def late(thread):
+        last_step(thread)
+        threading.Event().wait(0.3)
+
+    monkeypatch.setattr(kind, "join_executor_internals", late)
+    found = run(draws(1), ProcessPool(KINDS, store, 1), store)  # which closes it
+    assert {result.state for result in found.values()} == {"done"}
+    assert set(threading.enumerate()) <= before
 
 
 @pytest.mark.promise("P7", "P10")

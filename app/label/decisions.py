@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 from touchdown.app.label.page import REVIEWING, LabelPage
@@ -62,6 +63,33 @@ class LabelDecisions:
         )
         self._on.go_on()
         self._on.editing.tell_assumed(edit)
+
+    def carry(self) -> None:
+        """Accept, and correct the other probes of the grip in the same way."""
+        self._on.do(self._carry)
+
+    async def _carry(self) -> None:
+        now, session, book = self._on.present, self._on.session, self._on.book
+        if now is None or session.opines or session.queue in REVIEWING:
+            self._page.say("A correction is carried to the grip only while labelling.", bad=True)
+            return
+        uuid, person, hides = now.item.entry.uuid, session.person, self._on.shown.hides
+        await self._accept()
+        if book.head(uuid).state not in ("submitted", "approved"):
+            return
+        found = self._on.dataset.carried(person, uuid)
+        rows = tuple(row for row in found.rows if not hides(uuid) and not hides(row.episode))
+        if not rows:
+            self._page.say("The grip has no other draft by the arm.")
+            return
+        await self._on.saving.save(lambda: book.bulk(person, replace(found, rows=rows)))
+        x_mm, y_mm = rows[0].after.label.offset_mm - rows[0].before.label.offset_mm
+        said = tr("{} of the grip moved by {:+.2f}, {:+.2f} mm and accepted. U takes it back.",
+                  count_noun(len(rows), "other probe"), x_mm, y_mm)  # fmt: skip
+        if any(self._on.walk.find(row.episode) >= 0 for row in rows):
+            self._on.read_with_news(said)
+        else:
+            self._on.show_at(self._on.walk.at, said)
 
     async def _answer_blind(self) -> None:
         now = self._on.present

@@ -130,8 +130,8 @@ class EmptyStateView(QWidget):
 FORCES, MOMENTS = (0, 1, 2), (3, 4, 5)
 REVIEWING, APPROVE = ("review", "audit"), "Approve  (Enter)"  # queues in which Enter approves
 ACTS = {  # buttons below the displacement, and their commands
-    "Accept  (Enter)": "accept", "Reject  (D)": "reject", "Flag  (X)": "flag",
-    "Skip  (PgDown)": "next",
+    "Accept  (Enter)": "accept", "Accept grip  (K)": "carry", "Reject  (D)": "reject",
+    "Flag  (X)": "flag", "Skip  (PgDown)": "next",
 }  # fmt: skip
 PAIRS = [(a, b) for a in range(6) for b in range(a + 1, 6)]
 
@@ -237,7 +237,8 @@ class LabelPage(QWidget):
         inner.insertWidget(2, self.nothing, 1)
         evidence = self.basis, self.verdict, self.scene_line, self.model_line
         base.add_items(inner, *evidence, self.caption, self.entry, self.words, self.message)
-        inner.addLayout(base.hbox(*((button, 1) for button in self.acts), spacing=4))
+        for row in (self.acts[:2], self.acts[2:]):  # one row is too wide for small windows
+            inner.addLayout(base.hbox(*((button, 1) for button in row), spacing=4))
         film = self.film_panel = base.Panel("Pictures", self.film)
         film.column.addWidget(self.shots, 1)
         self.shots.hide()
@@ -271,6 +272,7 @@ class LabelPage(QWidget):
             self.queue.setItemText(at, title)
         self.queue.setCurrentIndex(at)
         self.acts[0].setText(base.tr(APPROVE if name in REVIEWING else next(iter(ACTS))))
+        self.acts[1].setEnabled(name not in REVIEWING)
 
     def list_saved(self, names: Sequence[str]) -> None:
         """List the saved filters below the queues."""

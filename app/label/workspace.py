@@ -603,6 +603,8 @@ def label_commands(w: LabelWorkspace, context: WorkspaceContext) -> tuple[Window
     return (
         on("accept", "Accept (approve, while reviewing) and next", "Return",
            lambda t: t.decisions.enter()),
+        on("carry", "Accept, and correct the rest of the grip in the same way", "K",
+           lambda t: t.decisions.carry()),
         on("reject", "Reject, then 1 to 9 for the reason", "D", lambda t: t.decisions.reject()),
         on("flag", "Flag, or take the flag off", "X", lambda t: t.decisions.flag()),
         on("undo", "Undo my last action", "Ctrl+Z", lambda t: t.decisions.undo()),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import socket
 import sqlite3
 import time
@@ -38,7 +39,13 @@ from touchdown.backend.annotations.database import (
 from touchdown.backend.annotations.episode_files import LOSSES, check_losses, read_packed
 from touchdown.backend.annotations.episode_index import PAGE, PairCount, tagged_sides
 from touchdown.backend.annotations.geometry_records import GeometryStore, TruePatch
-from touchdown.backend.annotations.labels import LabelStore
+from touchdown.backend.annotations.labels import (
+    ARM_SOURCES,
+    ARM_UM,
+    BulkPreview,
+    CarryCorrection,
+    LabelStore,
+)
 from touchdown.backend.annotations.operation_log import OperationJournal
 from touchdown.backend.annotations.queues import ScoreStore
 from touchdown.backend.annotations.reconciliation import (
@@ -412,6 +419,25 @@ class Dataset:
         """Return the true patch of the valid label, derived from the geometry."""
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
+
+    def carried(self, person: str, uuid: str) -> BulkPreview:
+        """Return the change that corrects the other probes of a grip as ``uuid`` was corrected.
+
+        Grasp and bottom hold still within a grip, so that all its labels by the arm have nearly the
+        same error. Changes drafts by the arm only. Without a label by the arm, it is empty.
+        """
+        entry, head, first = self.entry(uuid), self.labels.head(uuid), self.labels.history(uuid)[0]
+        uuids, (dx_um, dy_um) = list[str](), (0, 0)
+        if first.source in ARM_SOURCES and first.label.is_set and entry.grip != uuid:
+            moved_mm = head.label.offset_mm - first.label.offset_mm
+            dx_um, dy_um = np.rint(1e3 * moved_mm).astype(int).tolist()
+            like = EpisodeFilter(
+                ("draft",), series=entry.series, grip_id=entry.grip_id, accepted=True
+            )
+            uuids = [other.uuid for other in self.episodes(like) if other.uuid != uuid]
+        sigma_um = round(math.hypot(head.label.sigma_um or 0, ARM_UM))
+        change = CarryCorrection(dx_um, dy_um, sigma_um, head.source)
+        return self.labels.preview(person, uuids, change)
 
     def queue(
         self, name: str, person: str, *, seed: int = 0, limit: int | None = None, wanted: str = ""

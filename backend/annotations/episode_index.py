@@ -134,6 +134,7 @@ def _conditions(wanted: EpisodeFilter) -> tuple[str, list[Any]]:
         "e.bottom": wanted.bottom,
         "e.series": wanted.series,
         "e.campaign": wanted.campaign,
+        "e.grip_id": wanted.grip_id,
         "e.person": wanted.person,
         "e.accepted": wanted.accepted,
         "h.conflict": wanted.conflict,

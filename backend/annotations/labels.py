@@ -163,6 +163,14 @@ class ShiftOrigin:
 
 
 @dataclass(frozen=True, slots=True)
+class CarryCorrection(ShiftOrigin):
+    """Correct drafts measured by the arm by this vector, and accept them as of ``source``."""
+
+    sigma_um: int
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
 class RotateFrame:
     """Correct the axes of the bottom: rotate every offset (and rotation) counter-clockwise."""
 
@@ -185,6 +193,8 @@ class SetState:
     reason: str = ""
 
 
+ARM_SOURCES = "commanded", "measured"
+ARM_UM = 70  # standard uncertainty of the difference of two positions of the arm
 BulkChange = ShiftOrigin | RotateFrame | MoveGeometry | SetState
 
 
@@ -237,7 +247,13 @@ def _corrected(head: Revision, change: ShiftOrigin | RotateFrame | MoveGeometry)
         raise RefusedError("is unlabelled", "It has no offset.")
     if head.state == "rejected":
         raise RefusedError("is rejected", "It is rejected.")
-    return BulkChangeRow(head, replace(content, label=_moved(head.label, change)), "draft")
+    label = _moved(head.label, change)
+    if isinstance(change, CarryCorrection):
+        if head.source not in ARM_SOURCES or head.state != "draft":
+            raise RefusedError("has a label", "A person or a model labelled it.")
+        label = replace(label, sigma_um=change.sigma_um)
+        return BulkChangeRow(head, replace(content, label=label, source=change.source), "submitted")
+    return BulkChangeRow(head, replace(content, label=label), "draft")
 
 
 def _moved(label: Label, change: ShiftOrigin | RotateFrame) -> Label:

@@ -233,6 +233,9 @@ class EpisodeContext:
     bench: Mapping[str, str] = field(default_factory=dict)
 
 
+UNKNOWN_GRIP = "/unknown"  # end of a grip id of imported episodes, whose grips are unknown
+
+
 @dataclass(frozen=True, slots=True)
 class EpisodeEntry:
     """One row of the index.
@@ -266,6 +269,11 @@ class EpisodeEntry:
     flagged: bool
     deleted: bool
 
+    @property
+    def grip(self) -> str:
+        """Id of the grip; the episode itself where the grip is unknown."""
+        return self.uuid if self.grip_id.endswith(UNKNOWN_GRIP) else self.grip_id
+
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFilter:
@@ -279,6 +287,7 @@ class EpisodeFilter:
     bottom: str | None = None
     series: str | None = None
     campaign: str | None = None
+    grip_id: str | None = None
     person: str | None = None
     accepted: bool | None = None
     flagged: bool | None = None

@@ -6,7 +6,7 @@ The scores order four of the review queues.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -182,37 +182,36 @@ def _scatter(error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 SETTLED_TICKS = 5  # ticks at the end of a press, where the load is constant (0.5 s)
 COMPARED_TICKS = [4, 9, 14, 19]  # of a press, for the comparison of signals
 MAX_COMPARED, MAX_PICKS = 1500, 300  # most episodes of a piece that are compared, and ordered
-SMALLER_SHARE = 0.6  # share of the episodes, those with the smaller estimated patches, first
 
 
 def training_order(
     signals: NDArray[np.floating],
-    estimated: NDArray[np.floating],
+    grips: Sequence[str],
     labelled: Collection[int],
     most: int = MAX_PICKS,
 ) -> list[int]:
-    """Return the indices of ``most`` episodes to label next.
+    """Return the indices of at most ``most`` episodes to label next, one of each grip.
 
-    ``signals`` (n, 4, 258) of a press, ``estimated`` (n, N) patches of the model, and the indices
-    of the ``labelled`` episodes. Where most of the face touches, a label tells little about the
-    edges of a patch, so episodes with a large estimated patch come last. Kernel herding (Chen,
-    Welling and Smola 2010, arXiv 1203.3472) orders the others: the labelled and the chosen
-    episodes together have signals distributed as those of all episodes with smaller patches, more
-    evenly than random ones.
+    ``signals`` (n, 4, 258) of a press, ``grips`` (n,) ids, and the indices of the ``labelled``
+    episodes. A label corrects all episodes of its grip (``Dataset.carried``), so the grips are
+    ordered: first those whose episodes bring the signals of the labelled episodes closest to the
+    signals of all (kernel herding; Chen, Welling and Smola 2010, arXiv 1203.3472).
     """
-    size = estimated.mean(axis=1)
-    smaller = size <= np.quantile(size, SMALLER_SHARE)
     kinds = np.split(signals - signals.mean(axis=0), (TACTILE_CHANNELS, TACTILE_CHANNELS + 3), 2)
     scaled = [kind.reshape(len(kind), -1) / max(np.linalg.norm(kind), 1e-9) for kind in kinds]
     alike = _likeness(np.hstack(scaled))
-    free = ~np.isin(np.arange(len(size)), list(labelled))
-    wanted = alike[:, smaller].mean(axis=1) + 2.0 * smaller  # of 0 to 1, those come first
-    total, order = alike[:, ~free].sum(axis=1), list[int]()
-    for count in range(len(labelled), len(labelled) + min(int(free.sum()), most)):
-        gain = wanted - total / (count + 1)
-        order.append(int(np.where(free, gain, -np.inf).argmax()))
-        free[order[-1]] = False
-        total += alike[:, order[-1]]
+    grip = np.unique(np.asarray(grips), return_inverse=True)[1]
+    free = ~np.isin(np.arange(len(grip)), list(labelled))
+    wanted, total = alike.mean(axis=1), alike[:, ~free].sum(axis=1)
+    order = list[int]()
+    while free.any() and len(order) < most:
+        gain = np.where(free, wanted - total / (np.count_nonzero(~free) + 1), -np.inf)
+        of_grip = np.bincount(grip, np.where(free, gain, 0.0))
+        of_grip[np.bincount(grip, free) == 0] = -np.inf
+        chosen = grip == of_grip.argmax()
+        order.append(int(np.where(chosen, gain, -np.inf).argmax()))
+        total += alike[:, chosen & free].sum(axis=1)
+        free &= ~chosen
     return order
 
 
@@ -232,8 +231,8 @@ class _PairSignals:
     wrench: list[FloatArray] = field(default_factory=list)
 
 
-# Signals (4, 258), estimated patch (N,), and whether the label was accepted
-_Compared = tuple[NDArray[np.floating], FloatArray, bool]
+# Signals (4, 258), grip, and whether the label was accepted
+_Compared = tuple[NDArray[np.floating], str, bool]
 
 
 @dataclass(slots=True)
@@ -292,7 +291,7 @@ def _score(dataset: Dataset, entry: EpisodeEntry, models: Ensemble, found: _Mode
     if head.state != "rejected":
         found.compared[entry.uuid] = (
             episode.observation[COMPARED_TICKS],
-            says.patch.probability,
+            entry.grip,
             head.state in ("submitted", "approved"),
         )
 
@@ -321,7 +320,6 @@ def _store(dataset: Dataset, weights: str, found: _ModelResults) -> None:
 def _training_scores(compared: Mapping[str, _Compared]) -> dict[str, float]:
     """Return 1 for the unlabelled episode to label first, less for the next ones."""
     uuids = np.random.default_rng(0).permutation(sorted(compared))[:MAX_COMPARED].tolist()
-    signals, estimated, accepted = zip(*(compared[uuid] for uuid in uuids), strict=True)
-    known = np.flatnonzero(accepted).tolist()
-    order = training_order(np.array(signals), np.array(estimated), known)
+    signals, grips, accepted = zip(*(compared[uuid] for uuid in uuids), strict=True)
+    order = training_order(np.array(signals), grips, np.flatnonzero(accepted).tolist())
     return {uuids[k]: 1.0 - place / len(order) for place, k in enumerate(order)}

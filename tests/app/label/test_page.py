@@ -139,15 +139,20 @@ def test_other_views_pictures_and_curves_come_by_keys(desk):
 
 def test_the_main_acts_have_buttons_with_their_keys(desk):
     texts = [button.text() for button in desk.page.acts]
-    assert texts == ["Accept  (Enter)", "Reject  (D)", "Flag  (X)", "Skip  (PgDown)"]
-    accept, reject = desk.page.acts[:2]
+    assert texts == [
+        "Accept  (Enter)", "Accept grip  (K)", "Reject  (D)", "Flag  (X)",
+        "Skip  (PgDown)",
+    ]  # fmt: skip
+    accept, whole_grip, reject = desk.page.acts[:3]
     assert (accept.property("role"), reject.property("role")) == ("primary", None)
     reject.click()
     assert desk.page.choice.isVisible()
     accept.click()
     assert not desk.page.choice.isVisible()
+    assert whole_grip.isEnabled()
     desk.page.show_queue("review")
     assert accept.text() == "Approve  (Enter)"
+    assert not whole_grip.isEnabled()
     desk.page.show_nothing(EMPTY_QUEUE)
     assert not accept.isVisible()
 

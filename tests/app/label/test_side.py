@@ -531,3 +531,58 @@ def test_a_training_is_offered_after_some_labels_of_the_queue_for_it(desk, monke
     assert desk.uuid == order[2]
     desk.do((KEY.Key_Period, CTRL))
     assert desk.main.window.front == "train"
+
+
+def test_a_correction_goes_to_the_whole_grip_by_one_key_and_back(desk):
+    presenter = desk.workspace.presenter
+    dataset, uuid = presenter.dataset, desk.uuid
+    arm = {entry.uuid: dataset.labels.head(entry.uuid).label for entry in dataset.episodes()}
+    desk.do(KEY.Key_Right, KEY.Key_Right, KEY.Key_K)
+    others = [one for one, label in arm.items() if label.is_set and one != uuid]
+    assert len(others) == ITEMS - WITHOUT_LABEL - 1
+    said = f"{len(others)} other probes of the grip moved by +0.20, +0.00 mm and accepted."
+    assert desk.page.message.text().startswith(said)
+    for one in (uuid, *others):
+        head = dataset.labels.head(one)
+        assert (head.state, head.label.x_um) == ("submitted", arm[one].x_um + 200)
+    assert len(presenter.walk.order) == WITHOUT_LABEL
+    desk.do(KEY.Key_U)
+    heads = [dataset.labels.head(one) for one in (uuid, *others)]
+    assert [head.state for head in heads] == ["submitted", *len(others) * ["draft"]]
+    assert [head.label for head in heads[1:]] == [arm[one] for one in others]
+
+
+def test_a_training_is_offered_after_labels_that_corrected_their_grips(desk, monkeypatch):
+    monkeypatch.setattr("touchdown.app.label.presenter.RETRAIN_EVERY", 2)
+    presenter, step = desk.workspace.presenter, desk.main.window.next_step
+    dataset = presenter.dataset
+    pair = dataset.entry(desk.uuid).geometry
+    order = []
+    for k in range(6):
+        grip = EpisodeContext("series", "circle15", pair, "setup", f"m/grip-{k // 2}", "m")
+        order.append(dataset.record(make_episode(90 + k), Label(k, 0, 0, 300),
+                                    source="measured", context=grip).uuid)  # fmt: skip
+    dataset.scores.put("training", {uuid: -float(k) for k, uuid in enumerate(order[::2])}, "m")
+    presenter.choose_queue("training")
+    desk.settle()
+    assert presenter.walk.order == order[::2]
+    desk.do(KEY.Key_K)
+    assert step.isHidden()
+    assert desk.page.message.text().startswith("1 other probe of the grip moved by +0.00, +0.00")
+    desk.do(KEY.Key_K)
+    assert step.text.text() == "Most to learn: 2 episodes done. 2 labels for a training."
+    assert desk.uuid == order[4]
+    assert [dataset.labels.head(uuid).state for uuid in order] == [
+        *4 * ["submitted"],
+        *2 * ["draft"],
+    ]
+
+
+def test_no_correction_is_carried_while_reviewing(desk):
+    presenter = desk.workspace.presenter
+    presenter.dataset.labels.accept("Bob", desk.uuid)
+    presenter.choose_queue("review")
+    desk.settle()
+    desk.do(KEY.Key_K)
+    assert "only while labelling" in desk.page.message.text()
+    assert presenter.dataset.labels.head(desk.uuid).state == "submitted"

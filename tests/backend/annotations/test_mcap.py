@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.backend.annotations.conftest import Record, context_for, small_episode, stored_label
+from tests.backend.annotations.conftest import Record, add, context_for, small_episode, stored_label
 from tests.backend.annotations.test_values import contents
 from touchdown.backend.annotations import agreement
 from touchdown.backend.annotations.dataset import Dataset
@@ -127,6 +127,41 @@ def test_a_shift_changes_what_was_previewed_and_one_undo_restores_all(dataset, u
     assert counting.label.x_um == 0
     labels.undo("cleo")
     assert contents(dataset) == before
+
+
+def test_a_correction_is_carried_to_the_drafts_of_the_arm_in_the_same_grip(dataset):
+    labels = dataset.labels
+
+    def probes(grip: str, count: int) -> list[str]:
+        context = replace(context_for(dataset), grip_id=grip)
+        return [
+            add(dataset, Label(1000 * k, -500, 0, 150), context=context).uuid for k in range(count)
+        ]
+
+    first, other, own, rejected, last = probes("m/grip-1", 5)
+    probes("m/grip-2", 1)
+    unknown = probes("m/unknown", 2)
+    labels.set("ann", own, Label(77, 0, 0, 50))
+    labels.reject("bob", rejected, "tilt")
+    labels.accept("ann", first, Label(300, -900, 0, 240))
+    before = contents(dataset)
+    wanted = dataset.carried("ann", first)
+    assert [row.episode for row in wanted.rows] == [other, last]
+    assert dict(wanted.refused) == {own: "A person or a model labelled it."}
+    assert labels.bulk("ann", wanted) == 2
+    head = labels.head(other)
+    # 0.24 mm of the person and 0.07 mm of the arm
+    assert (head.label, head.state, head.source) == (
+        Label(1300, -900, 0, 250),
+        "submitted",
+        "human",
+    )
+    assert labels.head(last).label == Label(4300, -900, 0, 250)
+    assert not dataset.carried("ann", first).rows
+    labels.undo("ann")
+    assert contents(dataset) == before
+    labels.accept("ann", unknown[0], Label(5, 5, 0, 200))
+    assert not dataset.carried("ann", unknown[0]).rows
 
 
 def test_a_label_changed_since_the_preview_refuses_all(dataset, uuids):

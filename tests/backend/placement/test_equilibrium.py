@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -392,6 +393,7 @@ def dataset(tmp_path):
             )
             x_um, y_um = np.rint(1e3 * said).astype(int).tolist()
             episode = Episode(f"e{i}", "pot", np.array(batch.observation[i]), at, 0.0, QUALITY)
+            context = replace(context, grip_id=f"m/grip-{i}")
             made.record(episode, Label(x_um, y_um, 0, 300), source="commanded", context=context)
         yield made
 
@@ -445,21 +447,27 @@ def clusters(*sizes, spread=0.02):
     return middles[group] + spread * rng.normal(size=(len(group), 4, 258)), group
 
 
-def test_the_order_of_labels_takes_smaller_patches_first_as_often_as_their_signals_occur():
+def test_the_order_of_labels_takes_one_of_each_grip_as_often_as_their_signals_occur():
     signals, group = clusters(8, 16, 56)
-    estimated = np.where(np.arange(80)[:, None] < 48, 0.2, 0.8) * np.ones((80, 3))
-    known = [0, 1, 8, 9, 10, 11]
-    order = training_order(signals, estimated, known)
-    assert sorted([*order, *known]) == list(range(80))
-    chosen = np.bincount(group[[*known, *order[:18]]])
-    assert chosen.tolist() == [4, 8, 12]  # half of each group of smaller patches
-    assert max(order[:42]) < 48
-    assert min(order[42:]) == 48
-    assert training_order(signals, estimated, known, 5) == order[:5]
-    assert training_order(signals, estimated, range(80)) == []
-    assert group[training_order(signals, estimated, [], 3)].max() == 2
-    copies = np.repeat(signals[:2], 3, axis=0)
-    assert sorted(training_order(copies, np.zeros((6, 3)), [2])) == [0, 1, 3, 4, 5]
+    grips = [f"g{k // 4}" for k in range(80)]  # of four probes of one group
+    known = [0, 8, 9, 16]  # part of a grip only
+    order = training_order(signals, grips, known)
+    assert len({grips[k] for k in order}) == len(order) == 20
+    labelled = [k for k in range(80) if k in known or grips[k] in {grips[n] for n in order[:8]}]
+    half = np.bincount(group[labelled]) / len(labelled)
+    assert half == pytest.approx([0.1, 0.2, 0.7], abs=0.05)
+    assert training_order(signals, grips, known, 5) == order[:5]
+    assert training_order(signals, grips, range(80)) == []
+    assert group[training_order(signals, grips, [], 1)[0]] == 2
+    whole = [k for k in range(80) if grips[k] in ("g0", "g5")]
+    assert len(training_order(signals, grips, whole)) == 18
+
+
+def test_larger_grips_of_like_signals_are_labelled_first():
+    signals, _ = clusters(12)
+    grips = ["few", "few", *9 * ["many"], "one"]
+    order = training_order(signals, grips, [])
+    assert [grips[k] for k in order] == ["many", "few", "one"]
 
 
 def test_each_label_brings_the_labelled_signals_closest_to_all():
@@ -477,7 +485,7 @@ def test_each_label_brings_the_labelled_signals_closest_to_all():
         wanted = sum(alike[k][j] for j in everything) / 24
         return wanted - sum(alike[k][j] for j in taken) / (len(taken) + 1)
 
-    for found in training_order(signals, np.ones((24, 5)), taken[:4]):
+    for found in training_order(signals, range(24), taken[:4]):
         assert found == max((k for k in everything if k not in taken), key=gain)
         taken.append(found)
     assert len(taken) == 24

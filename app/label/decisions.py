@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, cast
 
 from touchdown.app.label.page import REVIEWING, LabelPage
@@ -73,16 +72,17 @@ class LabelDecisions:
         if now is None or session.opines or session.queue in REVIEWING:
             self._page.say("A correction is carried to the grip only while labelling.", bad=True)
             return
-        uuid, person, hides = now.item.entry.uuid, session.person, self._on.shown.hides
+        uuid, person = now.item.entry.uuid, session.person
         await self._accept()
-        if book.head(uuid).state not in ("submitted", "approved"):
+        head = self._on.shown.of(uuid).head(uuid)  # also of a control item
+        if head.state not in ("submitted", "approved"):
             return
-        found = self._on.dataset.carried(person, uuid)
-        rows = tuple(row for row in found.rows if not hides(uuid) and not hides(row.episode))
+        found = self._on.dataset.carried(person, head)
+        rows = found.rows
         if not rows:
             self._page.say("The grip has no other draft by the arm.")
             return
-        await self._on.saving.save(lambda: book.bulk(person, replace(found, rows=rows)))
+        await self._on.saving.save(lambda: book.bulk(person, found))
         x_mm, y_mm = rows[0].after.label.offset_mm - rows[0].before.label.offset_mm
         said = tr("{} of the grip moved by {:+.2f}, {:+.2f} mm and accepted. U takes it back.",
                   count_noun(len(rows), "other probe"), x_mm, y_mm)  # fmt: skip

@@ -64,6 +64,7 @@ from touchdown.backend.annotations.values import (
     EpisodeFilter,
     Label,
     LabelContent,
+    Revision,
     Source,
     follow_uuid,
     uuid7,
@@ -420,23 +421,23 @@ class Dataset:
         head = self.labels.head(uuid)
         return self.geometry.patch(head.geometry, head.label)
 
-    def carried(self, person: str, uuid: str) -> BulkPreview:
-        """Return the change that corrects the other probes of a grip as ``uuid`` was corrected.
+    def carried(self, person: str, corrected: Revision) -> BulkPreview:
+        """Return the change that corrects the other probes of a grip as one of them was corrected.
 
         Grasp and bottom hold still within a grip, so that all its labels by the arm have nearly the
         same error. Changes drafts by the arm only. Without a label by the arm, it is empty.
         """
-        entry, head, first = self.entry(uuid), self.labels.head(uuid), self.labels.history(uuid)[0]
+        entry, first = self.entry(corrected.episode), self.labels.history(corrected.episode)[0]
         uuids, (dx_um, dy_um) = list[str](), (0, 0)
-        if first.source in ARM_SOURCES and first.label.is_set and entry.grip != uuid:
-            moved_mm = head.label.offset_mm - first.label.offset_mm
+        if first.source in ARM_SOURCES and first.label.is_set and entry.grip != entry.uuid:
+            moved_mm = corrected.label.offset_mm - first.label.offset_mm
             dx_um, dy_um = np.rint(1e3 * moved_mm).astype(int).tolist()
             like = EpisodeFilter(
                 ("draft",), series=entry.series, grip_id=entry.grip_id, accepted=True
             )
-            uuids = [other.uuid for other in self.episodes(like) if other.uuid != uuid]
-        sigma_um = round(math.hypot(head.label.sigma_um or 0, ARM_UM))
-        change = CarryCorrection(dx_um, dy_um, sigma_um, head.source)
+            uuids = [other.uuid for other in self.episodes(like) if other.uuid != entry.uuid]
+        sigma_um = round(math.hypot(corrected.label.sigma_um or 0, ARM_UM))
+        change = CarryCorrection(dx_um, dy_um, sigma_um, corrected.source)
         return self.labels.preview(person, uuids, change)
 
     def queue(

@@ -552,6 +552,24 @@ def test_a_correction_goes_to_the_whole_grip_by_one_key_and_back(desk):
     assert [head.label for head in heads[1:]] == [arm[one] for one in others]
 
 
+def test_a_control_item_corrects_its_grip_by_the_answer_and_keeps_its_label(desk, monkeypatch):
+    presenter = desk.workspace.presenter
+    gold, other = presenter.walk.order[:2]
+    arm = desk.book.head(gold).label
+    desk.book.accept("Bob", gold, Label(1500, 0, 0, 50))
+    desk.book.approve("Cleo", gold)
+    before, drafted = desk.book.head(gold), desk.book.head(other).label
+    monkeypatch.setattr("touchdown.backend.annotations.queues.AUDIT_SHARE", 1.0)
+    desk.do((KEY.Key_R, CTRL))
+    presenter.go_to(presenter.walk.order.index(gold))
+    desk.settle()
+    desk.type(f"{arm.x_um / 1e3 + 0.4},{arm.y_um / 1e3}")
+    desk.do(KEY.Key_Return, KEY.Key_K)
+    assert desk.book.head(gold) == before
+    head = desk.book.head(other)
+    assert (head.label.x_um - drafted.x_um, head.state) == (400, "submitted")
+
+
 def test_a_training_is_offered_after_labels_that_corrected_their_grips(desk, monkeypatch):
     monkeypatch.setattr("touchdown.app.label.presenter.RETRAIN_EVERY", 2)
     presenter, step = desk.workspace.presenter, desk.main.window.next_step

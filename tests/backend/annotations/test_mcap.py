@@ -140,14 +140,18 @@ def test_a_correction_is_carried_to_the_drafts_of_the_arm_in_the_same_grip(datas
 
     first, other, own, rejected, last = probes("m/grip-1", 5)
     probes("m/grip-2", 1)
+    same = replace(context_for(dataset), grip_id="m/grip-1")
+    for context, accepted in ((replace(same, series="series-2"), True), (same, False)):
+        add(dataset, Label(5000, 0, 0, 150), context=context, accepted=accepted)
+    modelled = add(dataset, Label(5000, 0, 0, 150), f"model:{'ab' * 32}", same).uuid
     unknown = probes("m/unknown", 2)
     labels.set("ann", own, Label(77, 0, 0, 50))
     labels.reject("bob", rejected, "tilt")
     labels.accept("ann", first, Label(300, -900, 0, 240))
     before = contents(dataset)
-    wanted = dataset.carried("ann", first)
+    wanted = dataset.carried("ann", labels.head(first))
     assert [row.episode for row in wanted.rows] == [other, last]
-    assert dict(wanted.refused) == {own: "A person or a model labelled it."}
+    assert [why for _, why in wanted.refused] == 2 * ["A person or a model labelled it."]
     assert labels.bulk("ann", wanted) == 2
     head = labels.head(other)
     # 0.24 mm of the person and 0.07 mm of the arm
@@ -157,11 +161,13 @@ def test_a_correction_is_carried_to_the_drafts_of_the_arm_in_the_same_grip(datas
         "human",
     )
     assert labels.head(last).label == Label(4300, -900, 0, 250)
-    assert not dataset.carried("ann", first).rows
+    assert not dataset.carried("ann", labels.head(first)).rows
     labels.undo("ann")
     assert contents(dataset) == before
+    labels.accept("ann", modelled)
+    assert not dataset.carried("ann", labels.head(modelled)).rows
     labels.accept("ann", unknown[0], Label(5, 5, 0, 200))
-    assert not dataset.carried("ann", unknown[0]).rows
+    assert not dataset.carried("ann", labels.head(unknown[0])).rows
 
 
 def test_a_label_changed_since_the_preview_refuses_all(dataset, uuids):

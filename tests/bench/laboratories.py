@@ -365,13 +365,15 @@ def labels_saved() -> list[Figure]:
         raise InputError("There is no result.", ACTIVE, "Run --active first.")
     figures = []
     for usual, of in (("single", "single probes"), ("random", "random grips")):
-        share, must = labels_needed(curves, usual)["share"], usual == "single"
+        found, must = labels_needed(curves, usual), usual == "single"
+        share, (low, high) = found["share"], found["interval"]
         ends = ", ".join(f"{np.mean(one[usual], axis=0)[-1]:.3f}" for one in curves)
         figures.append(Figure(
             f"labels for equal IoU, queue against {of}, hidden laboratories ({len(curves)})",
-            "not reached" if share is None else 100 * share, "%", "<= 85" if must else "stated",
-            share is not None and share <= 0.85 if must else None,
-            f"IoU after {MOST[usual]} labels of {of}: {ends}",
+            100 * share if share else "not reached", "%" if share else "",
+            "<= 85" if must else "stated", share is not None and share <= 0.85 if must else None,
+            f"IoU after {MOST[usual]} labels of {of}: {ends}"
+            + (f"; 95 %: {100 * low:.1f} to {100 * high:.1f} %" if high else ""),
         ))  # fmt: skip
     return figures
 
@@ -552,8 +554,7 @@ def active_labelling(seed: int, out: Path) -> dict[str, Any]:
     ``single``: in random order, for their probe alone. ``random`` and ``queue``: each corrects its
     grip, and the next one is a random probe without a label, or the next of the queue. The shipped
     network is fine-tuned on all labelled probes after every ``BATCH`` labels, and the queue ordered
-    again. Where random order does not gain ``LEARNS``, the others are left out. Curves are kept in
-    ``out``.
+    again. Without a gain of ``LEARNS`` by ``single``, the others are left out.
     """
     use_one_thread()
     folder = out / "orders"

@@ -425,11 +425,12 @@ class Dataset:
         """Return the change that corrects the other probes of a grip as one of them was corrected.
 
         Grasp and bottom hold still within a grip, so that all its labels by the arm have nearly the
-        same error. Changes drafts by the arm only. Without a label by the arm, it is empty.
+        same error. Changes drafts by the arm only. Without a label or one by the arm, it is empty.
         """
         entry, first = self.entry(corrected.episode), self.labels.history(corrected.episode)[0]
         uuids, (dx_um, dy_um) = list[str](), (0, 0)
-        if first.source in ARM_SOURCES and first.label.is_set and entry.grip != entry.uuid:
+        known = first.label.is_set and corrected.label.is_set
+        if known and first.source in ARM_SOURCES and entry.grip != entry.uuid:
             moved_mm = corrected.label.offset_mm - first.label.offset_mm
             dx_um, dy_um = np.rint(1e3 * moved_mm).astype(int).tolist()
             like = EpisodeFilter(

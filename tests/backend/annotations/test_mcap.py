@@ -149,6 +149,7 @@ def test_a_correction_is_carried_to_the_drafts_of_the_arm_in_the_same_grip(datas
     labels.reject("bob", rejected, "tilt")
     labels.accept("ann", first, Label(300, -900, 0, 240))
     before = contents(dataset)
+    assert not dataset.carried("ann", replace(labels.head(first), label=Label())).rows
     wanted = dataset.carried("ann", labels.head(first))
     assert [row.episode for row in wanted.rows] == [other, last]
     assert [why for _, why in wanted.refused] == 2 * ["A person or a model labelled it."]

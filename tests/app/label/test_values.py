@@ -55,6 +55,24 @@ def test_a_failed_save_blocks_the_way_until_it_is_saved(desk, failing):
     assert desk.uuid != uuid
 
 
+def test_a_grip_that_could_not_be_saved_is_corrected_by_the_repetition(desk, monkeypatch):
+    uuid, real, broken = desk.uuid, desk.book.bulk, [True]
+
+    def bulk(*args):
+        if broken:
+            raise FaultError(FULL)
+        return real(*args)
+
+    monkeypatch.setattr(desk.book, "bulk", bulk)
+    desk.do(KEY.Key_Right, KEY.Key_K)
+    assert "The disk is full. Make room." in desk.page.banner.text.text()
+    assert desk.book.head(uuid).state == "submitted"
+    broken.clear()
+    desk.do(KEY.Key_Return)
+    assert "of the grip moved by +0.10, +0.00 mm and accepted" in desk.page.message.text()
+    assert not desk.page.banner.isVisible()
+
+
 def test_a_failed_save_can_be_discarded(desk, failing):
     uuid, before = desk.uuid, desk.book.head(desk.uuid)
     desk.press(KEY.Key_Right)

@@ -17,6 +17,7 @@ from touchdown.backend.identification.estimates import Estimate, estimate, sprea
 
 LEAST_REST_S, GOOD_REST_S = 30.0, 300.0
 BLOCK_S = 1.0  # means of this length show the drift
+GRID_SHARE = 0.1  # of the lateness of a picture moves the grid of the next ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +112,30 @@ def flicker(levels: FloatArray, *, lossless: bool) -> str:
     return text if lossless else f"at least {text}: compressed images"
 
 
+def grid_numbers(t_s: FloatArray) -> FloatArray:
+    """Return the numbers (n,) of pictures on a regular grid; some come late and some never.
+
+    The numbers of a driver do not count the pictures that a camera or a busy computer left out.
+    """
+    period, due, numbers = float(np.median(np.diff(t_s))), t_s[0], np.zeros(len(t_s))
+    for k, at in enumerate(t_s):
+        steps = np.rint((at - due) / period)
+        late = at - due - steps * period
+        due, period = at - (1.0 - GRID_SHARE) * late, period + GRID_SHARE**2 / 4.0 * late
+        numbers[k] = numbers[k - 1] + steps
+    return numbers
+
+
 def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[str, str]], Spectrum]:
-    series, gaps, white, lost, dropped, frames = [], [], [], [], 0, 0
-    period = 0.04
+    series, gaps, periods, white, lost, dropped, frames = [], [], [], [], [], 0, 0
     for finger in FINGERS:
         own = [[f for f in block.fields if f.finger == finger] for block in blocks]
         fields = [f for part in own for f in part]
         for part in filter(None, own):
-            # Numbers do not count the pictures that a camera or a busy computer left out.
             t_s = np.array([f.t_s for f in part])
-            steps = np.rint(np.diff(t_s) / np.median(np.diff(t_s)))
-            number = np.cumsum(np.r_[0.0, steps])
-            period, start = map(float, np.polyfit(number, t_s, 1))
+            number = grid_numbers(t_s)
+            period, start = np.polyfit(number, t_s, 1)
+            periods.append(period)
             gaps.append(t_s - start - period * number)
             dropped += int(number[-1]) + 1 - len(part)
         frames += len(fields)
@@ -132,13 +145,15 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
         white.append(float(np.diff(moved[:, seen.all(axis=0)], axis=0).std() / np.sqrt(2.0)))
         weight = seen[..., None].astype(float)
         series.append((weight * moved).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0))
-    per_block = max(round(BLOCK_S / period), 1)
+    period = float(np.median(periods))
+    apart_s = period * (1.0 + dropped / frames)  # on average, with the dropped pictures
+    per_block = max(round(BLOCK_S / apart_s), 1)
     length = min(map(len, series)) // per_block * per_block
     blocked = [s[:length].reshape(-1, per_block, 2).mean(axis=1) for s in series]
     means = np.concatenate(blocked, axis=1)
     both = float(np.mean(white))
     shift = float(np.mean([np.diff(s, axis=0).std() / np.sqrt(2.0) for s in series]))
-    rate, sd = walk_rate(means, shift**2 / per_block, BLOCK_S)
+    rate, sd = walk_rate(means, shift**2 / per_block, per_block * apart_s)
     # Quartiles of a uniform distribution: some late pictures do not count.
     jitter = float(np.subtract(*np.quantile(np.concatenate(gaps), (0.75, 0.25))))
     share, error = dropped / max(frames + dropped, 1), np.sqrt(max(dropped, 1)) / max(frames, 1)

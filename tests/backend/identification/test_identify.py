@@ -259,16 +259,21 @@ def test_the_stiffness_of_the_arm_follows_from_command_pose_and_force():
     assert one.low < 15.0 < one.high
 
 
-def test_rest_gives_noise_timing_and_losses():
+def made_rest(length_s, *, dropped, walk_px=0.0):
+    """Return both fingers at rest; of 100 pictures those with a number in ``dropped`` never come.
+
+    ``walk_px``: random walk of all markers of a finger per √s.
+    """
     rng = np.random.default_rng(3)
-    t_s = np.arange(0.0, 60.0, 2e-3)
+    t_s = np.arange(0.0, length_s, 2e-3)
     wrench = rng.standard_normal((len(t_s), 6)) * np.repeat([0.07, 0.003], 3)
     fields = []
     for finger in ("left", "right"):
-        for k in range(1500):
-            if k % 100 == 7:
+        drift = walk_px * np.cumsum(0.2 * rng.standard_normal((round(25 * length_s), 2)), axis=0)
+        for k, drifted in enumerate(drift):
+            if k % 100 in dropped:
                 continue
-            moved = 0.04 * rng.standard_normal((63, 2))
+            moved = drifted + 0.04 * rng.standard_normal((63, 2))
             # Some pictures come late, and numbers do not count those that never come.
             at = 0.04 * k + rng.uniform(-0.005, 0.005) + 0.03 * (k % 40 == 3)
             fields.append(
@@ -276,7 +281,11 @@ def test_rest_gives_noise_timing_and_losses():
             )
     rest = Recording(t_s, wrench, tuple(fields), (), t_s[:2], np.zeros((2, 3)), np.zeros(6))
     levels = (np.full(20, 100.0), 100.0 * (1.0 + 0.01 * (-1.0) ** np.arange(20)))
-    found = identify_rest(RestRecording((rest,), levels, lossless=True))
+    return RestRecording((rest,), levels, lossless=True)
+
+
+def test_rest_gives_noise_timing_and_losses():
+    found = identify_rest(made_rest(60.0, dropped=[7]))
     true = {"wrist.white_n": 0.07, "wrist.white_nm": 0.003, "tactile.white_px": 0.04,
             "tactile.rate_hz": 25.0, "wrist.rate_hz": 500.0}  # fmt: skip
     for one in found.estimates:
@@ -287,6 +296,16 @@ def test_rest_gives_noise_timing_and_losses():
     assert shares["tactile.drop_share"] == pytest.approx(0.01, abs=1e-3)
     assert shares["wrist.drift_n_sqrt_min"] < 0.01
     assert dict(found.facts)["flicker, right"].startswith("1.000 %")
+
+
+def test_pictures_that_never_come_change_neither_drift_nor_jitter():
+    made = made_rest(600.0, dropped=range(0, 100, 5), walk_px=0.02)
+    found = {one.key: one for one in identify_rest(made).estimates}
+    drift = found["tactile.drift_px_sqrt_s"]
+    assert drift.low < 0.02 < drift.high
+    assert found["tactile.jitter_s"].value == pytest.approx(0.005, rel=0.1)
+    assert found["tactile.drop_share"].value == pytest.approx(0.2, abs=2e-3)
+    assert found["tactile.rate_hz"].value == 25.0
 
 
 def test_recovery_from_the_press_before_is_no_error_of_the_reference():

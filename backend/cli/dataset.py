@@ -76,7 +76,7 @@ def verify(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         closed = [f"{one.kind} {one.target}" for one in resolved]
         found = [one for one in found if f"{one.kind} {one.target}" not in closed]
         count = sum(one.episodes for one in dataset.count_by_pair() if one.state != "deleted")
-    screen.say(f"{count} episodes read.")
+    screen.say(f"Episodes read: {count}.")
     for name in closed:
         screen.say(f"Resolved: {name}.")
     facts: dict[str, object] = {"dataset": str(folder), "episodes": count, "noted": noted}
@@ -165,13 +165,13 @@ def status(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
         (piece, bottom, *(str(pairs[piece, bottom, state] or "-") for state in states))
         for piece, bottom in sorted({(piece, bottom) for piece, bottom, _ in pairs})
     ]
-    title = f"{pairs.total()} episodes in {folder}"
+    title = f"Episodes in {folder}: {pairs.total()}"
     screen.table(title, ("piece", "bottom", *states), *rows, right=states)
     if conflicts:
-        screen.say(f"{conflicts} episodes have two labels since a merge: resolve them.")
+        screen.say(f"Episodes with two labels since a merge: {conflicts}. Resolve them.")
     for state, count in sorted(files.items()):
         if state != "complete":
-            screen.say(f"{count} files are {state}.")
+            screen.say(f"Files that are {state}: {count}.")
     for run in campaigns:
         screen.say(f"Campaign {run.uuid}: {run.done} items of {run.piece} over {run.bottom} done.")
     hours = None if age is None else round(age.total_seconds() / 3600, 1)
@@ -192,9 +192,9 @@ def merge(args: argparse.Namespace, folder: Path, screen: VerbOutput) -> int:
     person = person_of(args)
     with dataset_to_fill(folder, person, screen, create=False) as dataset:
         done = dataset.merge(person, args.other)
-    screen.say(f"{done.operations} label operations and {done.episodes} episodes are new here.")
+    screen.say(f"New here: label operations {done.operations}, episodes {done.episodes}.")
     if done.conflicts:
-        screen.say(f"{len(done.conflicts)} episodes have two labels: resolve them in the window.")
+        screen.say(f"Episodes with two labels: {len(done.conflicts)}. Resolve them in the window.")
     answer = {"dataset": str(folder), "merged": str(args.other)}
     counts = {"operations": done.operations, "episodes": done.episodes}
     screen.result({**answer, **counts, "conflicts": list(done.conflicts)})

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
             state_with=tuple(args.state_with.split(",")) if args.state_with else (),
             on_progress=lambda count, total: advance(count, total=total),
         )
-    screen.say(f"{done.episodes} episodes are in {done.folder}.")
+    screen.say(f"Episodes in {done.folder}: {done.episodes}.")
     for warning in done.warnings:
         screen.say(f"  {warning}")
     screen.result({

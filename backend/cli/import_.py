@@ -77,7 +77,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
     wanted = exchange.EpisodeImport(dataset, args.format, args.source, wish)
     with screen.progress("Reading", wanted.total) as advance:
         survey = wanted.survey(advance)
-    screen.say(f"{survey.found} episodes found, {survey.here} of them are present already.")
+    screen.say(f"Episodes found: {survey.found}, present already: {survey.here}.")
     if survey.contradictions:
         screen.say("\n  ".join(["The signals contradict the mapping:", *survey.contradictions]))
     if args.preview and wanted.presses:
@@ -93,7 +93,7 @@ def _episodes(args: argparse.Namespace, dataset: Dataset, actor: str, screen: Ve
         with screen.progress("Writing", survey.fit) as advance:
             written = wanted.write(advance)
         backup = _backup_text(wanted.backup, screen)
-        screen.say(f"{len(written)} episodes are new in {dataset.folder}, their labels drafts.")
+        screen.say(f"New episodes in {dataset.folder}: {len(written)}. Their labels are drafts.")
     screen.result({
         "found": survey.found,
         "here": survey.here,
@@ -131,7 +131,7 @@ def _labels(args: argparse.Namespace, dataset: Dataset, screen: VerbOutput) -> i
     rows = read(args.source, dataset)
     done = exchange.import_labels(dataset, rows, args.person, args.source.name, check=args.check)
     would = "would change" if args.check else "changed"
-    screen.say(f"{done.changed} labels {would}, {done.unchanged} are the same.")
+    screen.say(f"Labels that {would}: {done.changed}, that are the same: {done.unchanged}.")
     for uuid, why in done.refused:
         screen.say(f"  {uuid}: {why}")
     for warning in done.warnings:

@@ -83,8 +83,8 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     total = sum(spec.params["probes"] for spec in done)
     redraws = total_redraws([Redraws(**store.result(spec.id)) for spec in done])
     screen.say(
-        f"{total} simulated episodes in {seconds:.1f} s, {redraws.drawn_again} probes drawn again, "
-        f"{redraws.unsolved} of them without a balance in the simulation: {out}"
+        f"Simulated episodes: {total} in {seconds:.1f} s, probes drawn again: "
+        f"{redraws.drawn_again}, {redraws.unsolved} of them without a simulated balance: {out}"
     )
     if left := len(jobs) - len(done):
         screen.say(f"{left} of {len(jobs)} jobs are missing.")

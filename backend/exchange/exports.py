@@ -265,7 +265,7 @@ def _check_video(name: str, chosen: Sequence[SelectedEpisode], video: Video) -> 
     without = len(chosen) - len(_filmed(chosen))
     if video == "all" and without:
         fix = "Use --video sample, which takes those that have some."
-        raise InputError(f"{without} episodes were kept without pictures.", "--video all", fix)
+        raise InputError(f"Episodes kept without pictures: {without}.", "--video all", fix)
 
 
 def _filmed(chosen: Sequence[SelectedEpisode]) -> list[SelectedEpisode]:

@@ -97,7 +97,7 @@ def select_episodes(dataset: Dataset, query: ExportQuery) -> Selection:
     sides, warnings = _sides(dataset, [entry for entry, _ in found], query)
     order = sorted(range(len(found)), key=lambda k: (sides[k] != TRAIN, sides[k], k))
     chosen = tuple(SelectedEpisode(i, *found[k], sides[k]) for i, k in enumerate(order))
-    notes = [f"{count} episodes are left out: {why}." for why, count in sorted(left_out.items())]
+    notes = [f"Episodes left out: {count}, {why}." for why, count in sorted(left_out.items())]
     return Selection(chosen, (*notes, *warnings))
 
 

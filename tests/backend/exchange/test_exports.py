@@ -128,7 +128,7 @@ def test_states_choose_and_the_approved_label_counts(dataset):
     dataset.labels.delete("bob", everything[1], "test")
     selection = select_episodes(dataset, ExportQuery(states=("approved", "submitted")))
     assert {o.entry.uuid for o in selection.chosen} == {everything[k] for k in (0, 2, 3)}
-    assert "1 episodes are left out: its label is rejected." in selection.warnings
+    assert "Episodes left out: 1, its label is rejected." in selection.warnings
 
 
 def test_nothing_to_hand_on_says_why(tmp_path):

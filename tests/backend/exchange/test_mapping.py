@@ -216,7 +216,7 @@ def test_the_command_draws_refuses_and_imports(tmp_path, capsys):
     assert (len(recording.fields), entry.mode) == (118, "imported")
     capsys.readouterr()
     assert main([*words, str(MAP)]) == 0
-    assert "1 of them are present already" in (again := capsys.readouterr().out)
+    assert "Episodes found: 1, present already: 1." in (again := capsys.readouterr().out)
     assert "another pair" not in again
     assert main([*words, str(MAP), "--bottom", "circle15"]) == 0
     assert "here as pot on square15; another pair needs another" in capsys.readouterr().out

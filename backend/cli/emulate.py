@@ -14,24 +14,9 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from touchdown.backend.bench import (
-    EMULATOR_PRIORITY,
-    EmulatedScene,
-    bench_toml,
-    emulate,
-    lab_toml,
-    serve_bench,
-    shorten_switch_interval,
-)
+from touchdown.backend import bench, core
 from touchdown.backend.cli.output import VerbOutput, text_table
 from touchdown.backend.config import read_toml
-from touchdown.backend.core import (
-    FINGERS,
-    InputError,
-    disk_errors,
-    round_robin_priority,
-    write_atomically,
-)
 from touchdown.backend.devices import emulated_makes
 from touchdown.backend.devices.gelsight import SERIAL
 from touchdown.backend.emulation import (
@@ -76,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--folder", type=_absolute, metavar="DIR", help="folder of the emulated camera"
     )
-    parser.add_argument("--finger", choices=FINGERS, default="left", help="which camera")
+    parser.add_argument("--finger", choices=core.FINGERS, default="left", help="which camera")
     parser.add_argument("--serial", default=SERIAL, help="number of the camera")
     parser.add_argument(
         "--film", type=Path, metavar="FILE", help="video or picture that the camera sees"
@@ -109,29 +94,32 @@ def _absolute(text: str) -> Path:
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Serve until Ctrl-C or the end of the time; then print the statistics of the wires."""
     if args.for_s is not None and not 0 < args.for_s < float("inf"):
-        raise InputError("The time must be positive.", "--for", "Give seconds.")
+        raise core.InputError("The time must be positive.", "--for", "Give seconds.")
     of_bench, of_device = ("lab_file", "jig"), ("port", "tty", "load", "text", "film")
     for name in of_device if args.kind == BENCH else of_bench:
         if getattr(args, name):
             what = f"This is for {'single devices' if args.kind == BENCH else 'a bench'} only."
-            raise InputError(what, f"--{name.replace('_', '-')}", "Leave it out.")
+            raise core.InputError(what, f"--{name.replace('_', '-')}", "Leave it out.")
     with ExitStack() as rest:
         if args.kind == BENCH and args.folder is None and args.lab_file is not None:
             args.folder = Path(rest.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
         if args.kind == BENCH:
             # The threads share one interpreter lock, so none may be delayed by other programs.
-            rest.enter_context(round_robin_priority(EMULATOR_PRIORITY))
+            rest.enter_context(core.round_robin_priority(bench.EMULATOR_PRIORITY))
         world, emulation = _bench(args) if args.kind == BENCH else (None, _device(args))
         return _serve(args, screen, world, emulation)
 
 
 def _serve(
-    args: argparse.Namespace, screen: VerbOutput, world: EmulatedScene | None, emulation: Emulation
+    args: argparse.Namespace,
+    screen: VerbOutput,
+    world: bench.EmulatedScene | None,
+    emulation: Emulation,
 ) -> int:
     end = threading.Event()
     begun_s = time.monotonic()
     if world is not None:
-        shorten_switch_interval()
+        bench.shorten_switch_interval()
         world.start()
     emulation.start()
     host = own_address() if args.host == EVERY_ADDRESS else args.host
@@ -145,7 +133,7 @@ def _serve(
                 "there can command it. Give --host with one address to limit it."
             )
         if args.lab_file is None:
-            screen.say(f"In a bench file:\n\n{bench_toml(tables)}\n")
+            screen.say(f"In a bench file:\n\n{bench.bench_toml(tables)}\n")
         else:
             screen.say(f"Open it with: touchdown app --bench {args.lab_file}")
         screen.say("Ctrl-C ends it.")
@@ -178,17 +166,17 @@ def _device(args: argparse.Namespace) -> Emulation:
     part_mm = args.part if args.part > 0 else None
     wire = EmulationChoice(args.kind, args.host, args.port, args.tty, plan, wrench, part_mm)
     camera = {"finger": args.finger, "serial": args.serial, "folder": args.folder}
-    return emulate(replace(wire, **camera, text=args.text, film=args.film))
+    return bench.emulate(replace(wire, **camera, text=args.text, film=args.film))
 
 
-def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
+def _bench(args: argparse.Namespace) -> tuple[bench.EmulatedScene, Emulation]:
     if args.folder is None:
         fix = "Name a folder, or write its lab file with --lab-file."
-        raise InputError("An emulated bench needs a folder or a lab file.", "--folder", fix)
+        raise core.InputError("An emulated bench needs a folder or a lab file.", "--folder", fix)
     file = args.lab_file
     if file is not None and file.exists() and read_toml(file).get("kind") != "emulated":
         what = "This file is not of an emulated bench; it would be replaced."
-        raise InputError(what, str(file), "Name a new file with --lab-file.")
+        raise core.InputError(what, str(file), "Name a new file with --lab-file.")
     # Imported here: single devices do not need a scene.
     from touchdown.backend.bench import SimulatedBenchChoice, make_scene
 
@@ -197,12 +185,12 @@ def _bench(args: argparse.Namespace) -> tuple[EmulatedScene, Emulation]:
     choice = SceneChoice(args.piece, (args.bottom,), args.seed, jig=args.jig)
     scene = make_scene(load_pieces(), choice, settings)
     where, fix = args.lab_file or args.folder, "Name another folder or --host."
-    with disk_errors("The bench cannot be made", where, fix):
-        world, emulation = serve_bench(scene, args.folder, plan, args.host)
+    with core.disk_errors("The bench cannot be made", where, fix):
+        world, emulation = bench.serve_bench(scene, args.folder, plan, args.host)
         if args.lab_file is not None:
             # The lab file is for this computer: its cameras are folders here.
             here = replace(emulation, bench=replace_host(emulation.bench, "127.0.0.1"))
-            write_atomically(args.lab_file, lab_toml(scene, here).encode())
+            core.write_atomically(args.lab_file, bench.lab_toml(scene, here).encode())
     return world, emulation
 
 

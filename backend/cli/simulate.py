@@ -7,18 +7,11 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from touchdown.backend import experiments
 from touchdown.backend.cli.experiment import add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core import InputError, disk_errors, errors_as_input, make_folder
-from touchdown.backend.experiments import (
-    Redraws,
-    batch_plan,
-    collect_packs,
-    collection_jobs,
-    publish_packs,
-    total_redraws,
-)
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.jobs import JobSpec, JobStore
 
@@ -73,15 +66,17 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
         args.executor = "serial"
     began_s = time.monotonic()
     failed = run_jobs(
-        args, screen, store, {"collection": collect_packs}, jobs,
+        args, screen, store, {"collection": experiments.collect_packs}, jobs,
         lambda job: (f"{job.params['piece']} {job.params['bottom']}", int(job.params["probes"])),
     )  # fmt: skip
     with disk_errors("The packs cannot be moved", out, KEPT):
-        publish_packs(store, jobs, out)
+        experiments.publish_packs(store, jobs, out)
     seconds = time.monotonic() - began_s
     done = [spec for spec in jobs if store.has(spec.id)]
     total = sum(spec.params["probes"] for spec in done)
-    redraws = total_redraws([Redraws(**store.result(spec.id)) for spec in done])
+    redraws = experiments.total_redraws(
+        [experiments.Redraws(**store.result(spec.id)) for spec in done]
+    )
     screen.say(
         f"Simulated episodes: {total} in {seconds:.1f} s, probes drawn again: "
         f"{redraws.drawn_again}, {redraws.unsolved} of them without a simulated balance: {out}"
@@ -117,9 +112,9 @@ def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
         raise InputError("Name each bottom once, and at least one.", "--bottoms", fix)
     jobs: list[JobSpec] = []
     for name in names:
-        plan = batch_plan(
+        plan = experiments.batch_plan(
             piece, catalogue.bottom(name), settings, args.episodes, args.seed,
             args.probes_per_grip, args.grips_per_mounting,
         )  # fmt: skip
-        jobs += collection_jobs(plan, piece, start_ns, folder, last=name == names[-1])
+        jobs += experiments.collection_jobs(plan, piece, start_ns, folder, last=name == names[-1])
     return jobs

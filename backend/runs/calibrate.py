@@ -56,20 +56,10 @@ from touchdown.backend.core import (
     pose_rotation,
 )
 from touchdown.backend.geometry import LEAST_WEIGHED_G, Outline, Piece
-from touchdown.backend.runs import motions
+from touchdown.backend.runs import motions, probe
 from touchdown.backend.runs.bench import Bench, RunContext
 from touchdown.backend.runs.jig import pick_piece, return_piece, with_handed_piece
 from touchdown.backend.runs.plan import PausePoint, Plan, Wait
-from touchdown.backend.runs.probe import (
-    BELOW_MM,
-    FINE_MM,
-    edge_mm,
-    find_height,
-    press_once,
-    rise_from_contact,
-    touch_height_mm,
-    void_touch,
-)
 from touchdown.backend.runs.requests import CalibrateRequest, request_record
 from touchdown.backend.sensing import STANDARD_GRAVITY_M_S2, take_reference
 
@@ -96,7 +86,7 @@ def measure_board(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEs
     """Measure the position of the bottom in the arm's frame, with the held piece."""
     yield from pick_piece(bench)
     centre = np.array(request.origin_mm)
-    contact_mm = yield from find_height(bench, centre)
+    contact_mm = yield from probe.find_height(bench, centre)
     start_mm = contact_mm + bench.settings.probe.start_height_mm
     along = along_edges(bench.piece.face, bench.outline)
     touches, edges = np.empty((0, 3)), list[TouchedEdge]()
@@ -139,7 +129,7 @@ def probed_edge(
     axis, side, off_mm = where
     from_mm = centre.copy()
     from_mm[1 - axis] += off_mm
-    at = yield from edge_mm(bench, from_mm, axis, side, start_mm, FINE_MM)
+    at = yield from probe.edge_mm(bench, from_mm, axis, side, start_mm, probe.FINE_MM)
     return TouchedEdge(axis, side, off_mm, float(centre[axis]) + at)
 
 
@@ -184,7 +174,7 @@ def _touches(bench: Bench, centre: FloatArray, start_mm: float, before: int) -> 
         yield PausePoint()
         yield _progress(bench, before, at, f"touch {at + 1} of {len(CORNERS)}")
         off = out_mm * corner
-        height_mm = yield from touch_height_mm(bench, centre + off, start_mm, BELOW_MM)
+        height_mm = yield from probe.touch_height_mm(bench, centre + off, start_mm, probe.BELOW_MM)
         if height_mm is None:
             raise RefusedError(
                 "NO-TOUCH", "A touch on the bottom found no contact: check the origin."
@@ -209,7 +199,7 @@ def measure_tool(bench: Bench, request: CalibrateRequest) -> Plan[CalibrationEst
     centres = []
     for grip in range(TOOL_GRIPS):
         yield from pick_piece(bench)
-        contact_mm = yield from find_height(bench, bottom)
+        contact_mm = yield from probe.find_height(bench, bottom)
         start_mm = contact_mm + bench.settings.probe.start_height_mm
         centres.append((yield from _face_centre(bench, bottom, start_mm, grip)))
         yield from return_piece(bench)
@@ -405,8 +395,10 @@ def _side_presses(bench: Bench, request: CalibrateRequest) -> Plan[list[SidePres
         x_mm, y_mm = (origin + out_mm * way).tolist()
         yield from motions.move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
         push = partial(_side_press, bench, side)
-        presses.append((yield from motions.retry_if_void(bench, push, void_touch(bench, start_mm))))
-        yield from rise_from_contact(bench, start_mm)
+        presses.append(
+            (yield from motions.retry_if_void(bench, push, probe.void_touch(bench, start_mm)))
+        )
+        yield from probe.rise_from_contact(bench, start_mm)
     yield Progress(bench.now_s(), MOST_PUSHES, MOST_PUSHES, "back to the jig")
     yield from return_piece(bench)
     return presses
@@ -418,7 +410,7 @@ def _take_to_bottom(bench: Bench, request: CalibrateRequest) -> Plan[tuple[Float
     sigma_mm = bench.settings.collect.origin_sigma_mm
     centre = bench.placed.origin(request.origin_mm, sigma_mm, request.bottom)
     origin = np.array([centre.x_mm, centre.y_mm])
-    contact_mm = yield from find_height(bench, origin)
+    contact_mm = yield from probe.find_height(bench, origin)
     return origin, contact_mm + bench.settings.probe.start_height_mm
 
 
@@ -512,14 +504,14 @@ def _day_presses(
         yield PausePoint()
         yield Progress(bench.now_s(), DAY_RESTS + press - 1, steps, f"press {press}")
         yield from motions.move_to(bench, Pose(x_mm, y_mm, start_mm), "the arm to shift")
-        recording = (yield from press_once(bench, press)).episode.recording
+        recording = (yield from probe.press_once(bench, press)).episode.recording
         assert recording is not None
         for finger in FINGERS:
             held_px = bench.sensing.references[finger].position_px.mean(axis=0)
             offset_px = float(np.linalg.norm(held_px - places[finger]))
             found[f"{finger}_offset_px"].append(offset_px)
             found[f"{finger}_stiffness_px_n"].append(motion_per_force(recording, finger))
-        yield from rise_from_contact(bench, start_mm)
+        yield from probe.rise_from_contact(bench, start_mm)
     yield Progress(bench.now_s(), steps, steps, "back to the jig")
     yield from return_piece(bench)
 

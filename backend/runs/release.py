@@ -10,15 +10,7 @@ import math
 
 import numpy as np
 
-from touchdown.backend import core
-from touchdown.backend.devices import (
-    STAGE_S,
-    STATIONARY_MM,
-    Motion,
-    ReleaseEvidence,
-    recent_positions_mm,
-    travelled_mm,
-)
+from touchdown.backend import core, devices
 from touchdown.backend.runs import motions
 from touchdown.backend.runs.bench import Bench, JudgedProbe
 from touchdown.backend.runs.plan import Plan, Wait, motion_done
@@ -64,7 +56,7 @@ def release_piece(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[
 
 
 def _open_in_stages(
-    bench: Bench, probe: int, evidence: ReleaseEvidence, watch: TurnDetector
+    bench: Bench, probe: int, evidence: devices.ReleaseEvidence, watch: TurnDetector
 ) -> Plan[bool]:
     """Open in held steps, then at once, and rise; close and return False if the piece turns."""
     settings, width_mm = bench.settings.release, bench.gripper.status().width_mm
@@ -74,7 +66,7 @@ def _open_in_stages(
     for step in range(1, settings.stages + 1):
         yield core.Progress(bench.now_s(), step, settings.stages, "opening the jaws")
         yield from motions.wait_fresh_wrench(bench)
-        moved_mm = travelled_mm(recent_positions_mm(bench.arm.poses, bench.now_s()))
+        moved_mm = devices.travelled_mm(devices.recent_positions_mm(bench.arm.poses, bench.now_s()))
         opening = bench.gripper.open_step(
             evidence if step == 1 else None,
             width_mm + step * settings.stage_mm,
@@ -95,12 +87,12 @@ def _open_in_stages(
 
 def _hold_step(bench: Bench, watch: TurnDetector) -> Plan[tuple[bool, bool]]:
     """Hold until the piece turns or the step is over; return if it turned and was watched."""
-    since_s, until_s = bench.now_s() + FRAME_S, bench.now_s() + STAGE_S
+    since_s, until_s = bench.now_s() + FRAME_S, bench.now_s() + devices.STAGE_S
 
     def turned() -> bool:
         return watch.hold(since_s, bench.now_s()) > bench.settings.release.turn_sigmas
 
-    yield Wait(lambda: bench.now_s() >= until_s or turned(), 2.0 * STAGE_S, "the next step")
+    yield Wait(lambda: bench.now_s() >= until_s or turned(), 2.0 * devices.STAGE_S, "the next step")
     watched = watch.keep(since_s, bench.now_s())
     return turned(), watched
 
@@ -143,7 +135,7 @@ def _hold_again(bench: Bench, probe: int, step: int) -> Plan[bool]:
 
 
 def open_and_rise(
-    bench: Bench, probe: int, evidence: ReleaseEvidence, width_mm: float
+    bench: Bench, probe: int, evidence: devices.ReleaseEvidence, width_mm: float
 ) -> Plan[None]:
     """Open slowly until both fingers are clear, then rise."""
     settings = bench.settings.release
@@ -152,7 +144,7 @@ def open_and_rise(
     yield from _open_wide(bench, probe, opening)
 
 
-def _open_wide(bench: Bench, probe: int, opening: Motion) -> Plan[None]:
+def _open_wide(bench: Bench, probe: int, opening: devices.Motion) -> Plan[None]:
     settings = bench.settings.release
     yield from motion_done(opening, motions.MOVE_S, "the gripper to open")
     yield from motions.wait(bench, 0.5)
@@ -167,27 +159,27 @@ def wait_at_rest(bench: Bench) -> Plan[None]:
     until_s = bench.now_s() + REST_S
 
     def stands() -> bool:
-        places_mm = recent_positions_mm(bench.arm.poses, bench.now_s())
-        return travelled_mm(places_mm) <= STATIONARY_MM or bench.now_s() >= until_s
+        places_mm = devices.recent_positions_mm(bench.arm.poses, bench.now_s())
+        return devices.travelled_mm(places_mm) <= devices.STATIONARY_MM or bench.now_s() >= until_s
 
     yield Wait(stands, 2.0 * REST_S, "the arm to stand still")
 
 
 def release_evidence(
     bench: Bench, judged: JudgedProbe, width_mm: float, *, approved: bool
-) -> ReleaseEvidence:
+) -> devices.ReleaseEvidence:
     """Read the sensors again and return the release conditions."""
     now_s = bench.now_s()
     status = bench.gripper.status()
     window = bench.sensing.wrench.window(now_s - 0.1, now_s)
     sampled = len(window.t_s) > 0
     press_n = float(np.mean(window.values[:, 2])) if sampled else math.nan
-    places_mm = recent_positions_mm(bench.arm.poses, now_s)
+    places_mm = devices.recent_positions_mm(bench.arm.poses, now_s)
     recording, onset_s = judged.pressed.episode.recording, judged.pressed.episode.onset_s
     slip_mm = math.nan
     if recording is not None and len(places_mm):
         slip_mm = slip_since_loading(recording, onset_s, float(places_mm[-1, 2]), press_n)
-    return ReleaseEvidence(
+    return devices.ReleaseEvidence(
         verdict_stable=judged.stability.stable,
         verdict_of_last_probe=bench.sensing.tare_s < judged.at_s,
         verdict_age_s=now_s - judged.at_s,
@@ -198,7 +190,7 @@ def release_evidence(
         press_n=press_n,
         wrench_age_s=now_s - float(window.t_s[-1]) if sampled else math.nan,
         wrench_age_limit_s=bench.wrench_late_s + motions.WRENCH_AGE_LIMIT_S,
-        moved_mm=travelled_mm(places_mm),
+        moved_mm=devices.travelled_mm(places_mm),
         width_change_mm=status.width_mm - width_mm,
         holding=status.holding,
         approved=approved,

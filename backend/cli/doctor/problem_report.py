@@ -17,16 +17,9 @@ from contextlib import suppress
 from importlib.metadata import distributions
 from pathlib import Path
 
+from touchdown.backend import core
 from touchdown.backend.cli.output import check_new
 from touchdown.backend.cli.replay import find_run
-from touchdown.backend.core import (
-    InputError,
-    account_name,
-    config_folder,
-    data_folder,
-    program_stamp,
-    write_atomically,
-)
 
 FILE_BYTES = 20_000_000  # of a longer file the end is kept
 TEXTS = {".csv", ".json", ".jsonl", ".md", ".toml", ".txt"}
@@ -54,7 +47,7 @@ def write_report(
     texts = {n: json.dumps(fact, indent=1, ensure_ascii=False) for n, fact in facts.items()}
     binary, answer = dict[str, bytes](), {True: "kept", False: "left out or replaced"}
     lines = [
-        f"Problem report of {program_stamp()}\n",
+        f"Problem report of {core.program_stamp()}\n",
         f"Names: {answer[names]}. Pictures: {answer[pictures]}.",
         "Notes are not changed. Read the files before you send them.",
     ]
@@ -81,14 +74,14 @@ def write_report(
             archive.writestr(name, content)
         for name, text in texts.items():
             archive.writestr(name, clean(text))
-    write_atomically(out, target.getvalue())
+    core.write_atomically(out, target.getvalue())
     return sorted([*texts, *binary])
 
 
 def _files(lab: Path | None) -> dict[str, Path]:
-    data = data_folder()
-    folders = {"settings": config_folder(), "log": data / "log"}
-    with suppress(InputError, OSError):
+    data = core.data_folder()
+    folders = {"settings": core.config_folder(), "log": data / "log"}
+    with suppress(core.InputError, OSError):
         folders["run"] = find_run("latest", data / "runs")
         folders["episodes"] = folders["run"] / "episodes"
     found = {"lab.toml": lab} if lab is not None else {}
@@ -99,7 +92,7 @@ def _files(lab: Path | None) -> dict[str, Path]:
 
 def _versions() -> dict[str, object]:
     return {
-        "program": program_stamp(),
+        "program": core.program_stamp(),
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": platform.platform(),
         "packages": dict(sorted((d.name, d.version) for d in distributions())),
@@ -127,7 +120,7 @@ def _people(texts: Iterable[str]) -> set[str]:
 def _redaction(texts: Iterable[str]) -> Callable[[str], str]:
     words = {person: f"<person {n}>" for n, person in enumerate(sorted(_people(texts)), start=1)}
     words |= {platform.node(): "<computer>", str(Path.home()): "~"}
-    words[account_name()] = "<account>"
+    words[core.account_name()] = "<account>"
     forms = dict[str, str]()
     for word, new in words.items():
         for _ in range(3):  # as it is, in JSON, in a text inside JSON

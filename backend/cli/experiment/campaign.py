@@ -8,18 +8,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from touchdown.backend import experiments
 from touchdown.backend.cli.experiment.executors import add_device, add_executor_arguments, run_jobs
 from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import SimulationSettings, StackSettings, load_simulation
 from touchdown.backend.core import InputError, disk_errors, make_folder, write_atomically
-from touchdown.backend.experiments import (
-    KINDS,
-    adopt_models,
-    base_strategy,
-    job_effort,
-    method_of,
-    shipped_model_folders,
-)
 from touchdown.backend.jobs import JobSpec, JobStore
 
 UNWRITTEN = "It could not be written"
@@ -58,10 +51,10 @@ def parse_names(text: str, known: Iterable[str], where: str) -> tuple[str, ...]:
 def parse_strategies(text: str, known: Iterable[str]) -> tuple[str, ...]:
     """Return names of strategies, each with the settings behind it; raises ``InputError``."""
     names = tuple(text.split(","))
-    parse_names(",".join(map(base_strategy, names)), known, "--strategies")
+    parse_names(",".join(map(experiments.base_strategy, names)), known, "--strategies")
     for name in names:
         if ":" in name:
-            method_of(name, StackSettings())
+            experiments.method_of(name, StackSettings())
     return names
 
 
@@ -88,7 +81,9 @@ class ExperimentRun:
     def models(self, bench: SimulationSettings) -> dict[tuple[str, str], str]:
         """Return the ids of the models of the arguments, by piece and table name."""
         own = self.args.models
-        return adopt_models(self.store, *([own] if own else shipped_model_folders(bench.preset)))
+        return experiments.adopt_models(
+            self.store, *([own] if own else experiments.shipped_model_folders(bench.preset))
+        )
 
     def run(self, jobs: list[JobSpec]) -> bool:
         """Run the unfinished jobs, or those of one shard; return True if none failed.
@@ -97,7 +92,7 @@ class ExperimentRun:
         """
         make_folder(self.store.root)
         self.jobs |= {spec.id: spec for spec in jobs}
-        failed = run_jobs(self.args, self.screen, self.store, KINDS, jobs, _described)
+        failed = run_jobs(self.args, self.screen, self.store, experiments.KINDS, jobs, _described)
         self.failed += failed
         return not failed
 
@@ -112,4 +107,4 @@ def _described(spec: JobSpec) -> tuple[str, int]:
     over = "+".join(p["bottoms"]) if "bottoms" in p else p.get("bottom", "")
     training = p.get("training", {}).get("modality", "")
     words = (spec.kind, p.get("piece", ""), over, training, p.get("strategy", ""))
-    return " ".join(word for word in words if word), job_effort(spec)
+    return " ".join(word for word in words if word), experiments.job_effort(spec)

@@ -195,14 +195,14 @@ def test_the_board_is_where_the_bench_was_built_with_it(near):
 def test_a_board_beyond_its_limit_is_felt_once_more(near, monkeypatch):
     """One wrong edge spoils a round but not the calibration."""
     felt = []
-    edge_mm = calibrate.edge_mm
+    edge_mm = probe.edge_mm
 
     def felt_wrong(*args):
         at_mm = yield from edge_mm(*args)
         felt.append(at_mm)
         return at_mm + (0.32 if len(felt) == 1 else 0.0)
 
-    monkeypatch.setattr(calibrate, "edge_mm", felt_wrong)
+    monkeypatch.setattr(probe, "edge_mm", felt_wrong)
     request = CalibrateRequest("board", seed=4)
     blind = BlindBench(request.scene())
     found = measured(blind, measure_board, request)

@@ -425,7 +425,7 @@ def test_a_run_that_ends_during_the_stages_closes_the_jaws_and_lifts(monkeypatch
         if why == "cancel":
             bench.session.engine.cancel()
         elif why == "refusal":
-            monkeypatch.setattr(release, "travelled_mm", lambda _: float("nan"))
+            monkeypatch.setattr(release.devices, "travelled_mm", lambda _: float("nan"))
         elif why == "no markers":
             monkeypatch.setattr("touchdown.backend.sensing.slip._marker_motion", blind)
         step.append(bench.benches[-1].arm.pose(1.0).z_mm)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -24,6 +25,23 @@ from touchdown.widgets.shell import FaultCards
 from touchdown.widgets.views import LOOKS, BeliefScene, signed_mm
 
 PHASES = ("grip", "reference", "approach", "press", "hold", "lift")
+# Commands of the page: name, text, key, action
+COMMANDS: tuple[tuple[str, str, str, Callable[[OperatePage], object]], ...] = (
+    ("probe", "Probe once", "F5", lambda page: page.probe.probe.clicked.emit()),
+    ("grip", "Grip the piece", "G", lambda page: page.gripper.grip.clicked.emit()),
+    ("open", "Open the gripper", "Shift+G", lambda page: page.gripper.open.clicked.emit()),
+    ("zero", "Zero force and moment", "Z", lambda page: page.zero.clicked.emit()),
+    ("baseline", "Take a new tactile reference", "B", lambda page: page.baseline.clicked.emit()),
+    ("arm", "Arm or disarm the jog keys", "J", lambda page: page.jog.keys.toggle()),
+    ("shorter", "Shorter step, down to hold-to-run", "[", lambda page: page.jog.pace.next_step(-1)),
+    ("longer", "Longer step", "]", lambda page: page.jog.pace.next_step(1)),
+    ("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F", lambda page: page.jog.next_frame()),
+    ("turn", "Jog: turn the hand, or move it", "T", lambda page: page.jog.turn.click()),
+    ("level", "Level the hand", "Shift+T", lambda page: page.jog.level.clicked.emit()),
+    ("scene", "Set up a new scene on the simulated bench", "Ctrl+N", lambda page: page.scene.ask()),
+    ("freeze", "Freeze the traces", "Ctrl+P", lambda page: page.pause.toggle()),
+    ("fit", "Fit the force and moment ranges", "Ctrl+F", lambda page: page.fit()),
+)
 
 
 class SingleProbePresenter:
@@ -149,7 +167,10 @@ class OperateWorkspace(shell.Workspace):
         self._bench: Session | None = None
         self._story, self._shown = shell.RunStory(), (-1, 0)
         self.view: shell.BenchViewPresenter | None = None
-        self.commands = self._commands()
+        self.commands = tuple(
+            shell.WindowCommand(name, text, key, partial(self._order, action))
+            for name, text, key, action in COMMANDS
+        )
 
     def build(self) -> Iterator[None]:
         """Create the page."""
@@ -235,37 +256,8 @@ class OperateWorkspace(shell.Workspace):
 
     # -- orders -----------------------------------------------------------------------------------
 
-    def _commands(self) -> tuple[shell.WindowCommand, ...]:
-        return (
-            shell.WindowCommand("probe", "Probe once", "F5",
-                                lambda: self.page.probe.probe.clicked.emit()),
-            shell.WindowCommand("grip", "Grip the piece", "G",
-                                lambda: self.page.gripper.grip.clicked.emit()),
-            shell.WindowCommand("open", "Open the gripper", "Shift+G",
-                                lambda: self.page.gripper.open.clicked.emit()),
-            shell.WindowCommand("zero", "Zero force and moment", "Z",
-                                lambda: self.page.zero.clicked.emit()),
-            shell.WindowCommand("baseline", "Take a new tactile reference", "B",
-                                lambda: self.page.baseline.clicked.emit()),
-            shell.WindowCommand("arm", "Arm or disarm the jog keys", "J",
-                                lambda: self.page.jog.keys.toggle()),
-            shell.WindowCommand("shorter", "Shorter step, down to hold-to-run", "[",
-                                lambda: self.page.jog.pace.next_step(-1)),
-            shell.WindowCommand("longer", "Longer step", "]",
-                                lambda: self.page.jog.pace.next_step(1)),
-            shell.WindowCommand("frame", "Jog in the next frame: XYZ, TOOL, JOINT", "F",
-                                lambda: self.page.jog.next_frame()),
-            shell.WindowCommand("turn", "Jog: turn the hand, or move it", "T",
-                                lambda: self.page.jog.turn.click()),
-            shell.WindowCommand("level", "Level the hand", "Shift+T",
-                                lambda: self.page.jog.level.clicked.emit()),
-            shell.WindowCommand("scene", "Set up a new scene on the simulated bench", "Ctrl+N",
-                                lambda: self.page.scene.ask()),
-            shell.WindowCommand("freeze", "Freeze the traces", "Ctrl+P",
-                                lambda: self.page.pause.toggle()),
-            shell.WindowCommand("fit", "Fit the force and moment ranges", "Ctrl+F",
-                                lambda: self.page.fit()),
-        )  # fmt: skip
+    def _order(self, action: Callable[[OperatePage], object]) -> None:
+        action(self.page)
 
     def _renew(self, what: str) -> bool:
         return self.hand is not None and self.hand.renew(what)

@@ -153,15 +153,10 @@ class StackWorkspace(shell.Workspace):
 
     def take(self, event: Event) -> None:
         """Handle one event of the bench."""
-        if self.presenter is not None and self.side is not None:
-            self.presenter.take(event)
-            self.side.take(event)
-        if self.comparison is not None:
-            self.comparison.take(event)
-        if self.planned is not None:
-            self.planned.take(event)
-        if self.attended is not None:
-            self.attended.take(event)
+        parts = (self.presenter, self.side, self.comparison, self.planned, self.attended)
+        for part in parts:
+            if part is not None:
+                part.take(event)
 
     def close(self) -> None:
         """End the threads that store pictures and measure pieces."""

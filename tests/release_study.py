@@ -589,7 +589,7 @@ def release_on_bench(spec: JobSpec, place: JobContext) -> Mapping[str, Any]:
 
     runs = "touchdown.backend.runs"
     with (
-        mock.patch(f"{runs}.stack.make_strategy", return_value=ForcedRelease(method)),
+        mock.patch("touchdown.backend.placement.make_strategy", return_value=ForcedRelease(method)),
         mock.patch("touchdown.backend.bench.assembly.draw_start", return_value=at),
         mock.patch(f"{runs}.release.TurnDetector", Watched),
         mock.patch(f"{runs}.stack.MOST_TURNS", 1),

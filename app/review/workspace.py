@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from touchdown.app.review.exports import (
-    dated_file_name,
-    export_picture,
-    open_in_viewer,
-    view_picture,
-    write_export,
-)
+from touchdown.app.review import exports
 from touchdown.app.review.page import ReviewPage
 from touchdown.app.review.presenter import ReviewPresenter
 from touchdown.app.review.recordings import ReviewDataset
@@ -115,9 +109,9 @@ class ReviewWorkspace(Workspace):
         if self.presenter.file is None:
             self._context.say("The selection cannot be exported as a picture.")
             return
-        name = dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s")
+        name = exports.dated_file_name(f"review-{self.presenter.replay.cursor_s:.2f}s")
         shown, theme, caption = self.page.shown, self._context.theme, self._caption()
-        self._export(lambda: export_picture(shown, theme, self.exports, name, caption)[0])
+        self._export(lambda: exports.export_picture(shown, theme, self.exports, name, caption)[0])
 
     def _bookmark(self) -> None:
         if not self.presenter.bookmark():
@@ -130,7 +124,9 @@ class ReviewWorkspace(Workspace):
     def _table(self) -> None:
         def write(text: str) -> None:
             self._export(
-                lambda: write_export(text, self.exports, f"{dated_file_name('probes')}.csv")
+                lambda: exports.write_export(
+                    text, self.exports, f"{exports.dated_file_name('probes')}.csv"
+                )
             )
 
         if not self.presenter.make_table(write):
@@ -141,22 +137,22 @@ class ReviewWorkspace(Workspace):
             self._context.say("The selection has no report.")
             return
         # Take the picture now: the page may have changed when the table is ready.
-        name, caption = dated_file_name("review"), self._caption()
+        name, caption = exports.dated_file_name("review"), self._caption()
         notes = [tr("Bookmark, trial {}, {:.2f} s: {}", mark.trial, mark.t_s, mark.note)
                  for mark in self.presenter.bookmarks]  # fmt: skip
         facts, head = "\n".join((self.page.score.words, *notes)), self.presenter.story.head
         with self._context.theme.on_paper(self.page.shown):
-            picture = view_picture(self.page.shown, self._context.theme, caption)
+            picture = exports.view_picture(self.page.shown, self._context.theme, caption)
 
         def write(table: str) -> None:
             text = report_html(caption, facts, picture, table, head)
-            self._export(lambda: write_export(text, self.exports, f"{name}.html"))
+            self._export(lambda: exports.write_export(text, self.exports, f"{name}.html"))
 
         self.presenter.make_table(write)
 
     def _open_outside(self) -> None:
         if self.presenter.file is not None:
-            self._context.say(open_in_viewer(self.presenter.file))
+            self._context.say(exports.open_in_viewer(self.presenter.file))
         else:
             self._context.say("The selection cannot be opened.")
 

@@ -8,17 +8,11 @@ from typing import cast
 from touchdown.app import shell
 from touchdown.app.stack.comparison import strategy_by_name
 from touchdown.app.stack.page import StackPage
+from touchdown.backend import runs
 from touchdown.backend.bench import Session
 from touchdown.backend.core import Event, InputError, RefusedError, TrialFinished
 from touchdown.backend.geometry import LEAST_WEIGHED_G
 from touchdown.backend.learning import gel_mismatches
-from touchdown.backend.runs import (
-    DecisionMode,
-    RunState,
-    RunStatus,
-    StackRequest,
-    certificate_status,
-)
 from touchdown.widgets import views
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import RunButtons, RunForm
@@ -26,9 +20,9 @@ from touchdown.widgets.shell import CardText, FaultCards
 
 # Text above the map of a trial without an estimate while its run is stopped.
 HELD_UP = {
-    RunState.PAUSING: ("Pausing", "The arm lifts, then waits until you resume."),
-    RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
-    RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
+    runs.RunState.PAUSING: ("Pausing", "The arm lifts, then waits until you resume."),
+    runs.RunState.PAUSED: ("Paused", "The arm is lifted. Resume goes on."),
+    runs.RunState.CANCELLING: ("Cancelling", "The arm lifts; the grip is kept."),
 }
 
 
@@ -44,7 +38,7 @@ class StackPresenter:
         self._chosen: int | None = None
         self._scenes: dict[tuple[int, int, bool], tuple[shell.ProbeStory, views.BeliefScene]] = {}
         self._buttons: RunButtons | None = None
-        self._state = RunState.IDLE
+        self._state = runs.RunState.IDLE
         self._asking = ""
 
     # -- orders -----------------------------------------------------------------------------------
@@ -55,7 +49,7 @@ class StackPresenter:
             self.show_model()
             self.begin(stack_request(self._page.run.form()))
 
-    def begin(self, request: StackRequest) -> bool:
+    def begin(self, request: runs.StackRequest) -> bool:
         """Start a run; return False and show a card if it is refused."""
         try:
             self._bench.start(request)
@@ -99,7 +93,7 @@ class StackPresenter:
             run.show_signals(withheld)
             return
         try:
-            status = certificate_status(bench.identity, bench.method, request)
+            status = runs.certificate_status(bench.identity, bench.method, request)
             guard = bench.guard_of(request.method(bench.method))
         except InputError as error:
             run.show_certificate(error.what, error.fix)
@@ -154,14 +148,14 @@ class StackPresenter:
                 return
         self._next_part = 0
 
-    def _draw_buttons(self, status: RunStatus) -> None:
-        active = status.state in shell.ACTIVE_STATES
+    def _draw_buttons(self, status: runs.RunStatus) -> None:
+        state, active = status.state, status.state in shell.ACTIVE_STATES
         why = "" if active else shell.start_obstacle(self._bench)
         buttons = RunButtons(
             start=not why and not active,
-            pause=status.state in (RunState.RUNNING, RunState.PAUSING, RunState.PAUSED),
-            cancel=active and status.state is not RunState.CANCELLING,
-            paused=status.state in (RunState.PAUSED, RunState.PAUSING),
+            pause=state in (runs.RunState.RUNNING, runs.RunState.PAUSING, runs.RunState.PAUSED),
+            cancel=active and state is not runs.RunState.CANCELLING,
+            paused=state in (runs.RunState.PAUSED, runs.RunState.PAUSING),
             form=not active,
             why_not=why,
         )
@@ -176,7 +170,7 @@ class StackPresenter:
         # Leaves the width of the header to the progress.
         self._page.add_piece.setVisible(not active)
 
-    def _draw_question(self, status: RunStatus) -> None:
+    def _draw_question(self, status: runs.RunStatus) -> None:
         asking, button = "", ""
         self._page.decision.keep_room(self._page.run.form().mode != "auto")
         if status.awaiting is not None and self._has_heard(status):
@@ -186,7 +180,7 @@ class StackPresenter:
             self._asking = asking
             self._page.decision.show_question(asking, button)
 
-    def _has_heard(self, status: RunStatus) -> bool:
+    def _has_heard(self, status: runs.RunStatus) -> bool:
         """Return True if the decision on the newest estimate has arrived; events lag the status."""
         trial = self.story.trial
         newest = trial.probes[-1] if trial is not None and trial.probes else None
@@ -293,17 +287,17 @@ class StackPresenter:
         self._page.score.show_score(shell.run_score(self.story.trials, planned, last.lstrip()))
 
 
-def stack_request(form: RunForm) -> StackRequest:
+def stack_request(form: RunForm) -> runs.StackRequest:
     """Return the request of a form."""
     bottoms = (form.under, form.bottom) if form.under else (form.bottom,)
     strategy = strategy_by_name(form.strategy) or "paper"
-    return StackRequest(
+    return runs.StackRequest(
         piece=form.piece,
         bottoms=bottoms,
         seed=form.seed,
         trials=form.trials,
         strategy=strategy,
-        mode=cast("DecisionMode", form.mode),
+        mode=cast("runs.DecisionMode", form.mode),
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
         weigh=form.weigh,
         staged=form.staged,

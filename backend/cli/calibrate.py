@@ -55,32 +55,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     connection.add_scene_arguments(parser, BOTTOM, "board or bottom")
     connection.add_hand_over_arguments(parser)
-    parser.add_argument(
-        "--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots"
-    )
-    parser.add_argument("--person", help="who accepts (default: the account's name)")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated bench")
-    parser.add_argument("--calibrations", metavar="DIR", help="folder (default: the bench's)")
+    add = parser.add_argument
+    add("--pitch", type=float, default=PITCH_MM, metavar="MM", help="pitch of the dots")
+    add("--person", help="who accepts (default: the account's name)")
+    add("--seed", type=int, default=0, help="of the simulated bench")
+    add("--calibrations", metavar="DIR", help="folder (default: the bench's)")
     connection.add_bench_arguments(parser)
     if parser.prog.endswith("check-day"):
         parser.add_argument("--last", action="store_true", help="only show the last check")
         parser.set_defaults(what="day", runs=None, limit=None, accept=False)
         return
-    parser.add_argument(
+    add(
         "what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
         "'risk': bound the unsafe releases of a laboratory from its trials",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "runs", nargs="?", type=Path, metavar="DATASET",
         help="of 'risk': folder of recorded runs (default: the data folder's)",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--limit", type=float, metavar="SHARE", help="of 'risk': largest bound of a certificate "
         "(default: 0.05)",
     )  # fmt: skip
-    parser.add_argument(
-        "--accept", action="store_true", help="store the result if it is acceptable"
-    )
+    add("--accept", action="store_true", help="store the result if it is acceptable")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -34,41 +34,32 @@ MAX_LISTED = 12  # printed findings; ``--json`` contains all
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     connection.add_scene_arguments(parser, BOTTOM, "bottom piece")
-    parser.add_argument("--count", type=int, help="probes to collect (default: 20)")
-    parser.add_argument(
-        "--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file"
-    )
-    parser.add_argument(
-        "--pattern", choices=("random", "grid", "adaptive"), help="(default: random)"
-    )
-    parser.add_argument(
-        "--within", type=float, dest="within_mm", metavar="MM", help="largest displacement in x, y"
-    )
-    parser.add_argument("--seed", type=int, help="of the displacements (default: a new one)")
+    add = parser.add_argument
+    add("--count", type=int, help="probes to collect (default: 20)")
+    add("--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file")
+    add("--pattern", choices=("random", "grid", "adaptive"), help="(default: random)")
+    add("--within", type=float, dest="within_mm", metavar="MM", help="largest displacement in x, y")
+    add("--seed", type=int, help="of the displacements (default: a new one)")
     limits = CollectSettings()
-    parser.add_argument(
+    add(
         "--probes-per-grip", type=int,
         help=f"maximum (default: a third of the campaign, at most {limits.probes_per_grip})",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--grips-per-mounting", type=int,
         help=f"maximum (default: a third of the grips, at most {limits.grips_per_mounting})",
     )  # fmt: skip
     connection.add_hand_over_arguments(parser)
-    parser.add_argument(
-        "--origin-sigma", type=float, metavar="MM", help="standard uncertainty of the origin"
-    )
-    parser.add_argument(
-        "--check-origin", action="store_true", help="probe the four edges after every mounting"
-    )
-    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
-    parser.add_argument("--person", help="who collects (default: the account's name)")
-    parser.add_argument(
+    add("--origin-sigma", type=float, metavar="MM", help="standard uncertainty of the origin")
+    add("--check-origin", action="store_true", help="probe the four edges after every mounting")
+    add("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    add("--person", help="who collects (default: the account's name)")
+    add(
         "--resume", nargs="?", const="newest", metavar="CAMPAIGN",
         help="resume the newest campaign, or the named one, with its plan",
     )  # fmt: skip
     connection.add_bench_arguments(parser)
-    parser.add_argument("--runs", metavar="DIR", help="folder for journals (default: data folder)")
+    add("--runs", metavar="DIR", help="folder for journals (default: data folder)")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -15,15 +15,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
+from touchdown.backend import core
 from touchdown.backend.cli.output import VerbOutput, without_window
 from touchdown.backend.config import is_lab_file
-from touchdown.backend.core import (
-    FaultError,
-    InputError,
-    RefusedError,
-    TouchdownError,
-    program_stamp,
-)
 
 # Help line of each verb. Its module is imported on use: ``add_arguments(parser)`` and
 # ``run(args, screen)``, which returns the exit code.
@@ -67,7 +61,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise ``InputError`` instead of printing the usage and exiting."""
         fix = f"See '{self.prog} --help'."
-        raise InputError(f"{message[:1].upper()}{message[1:]}.", self.prog, fix)
+        raise core.InputError(f"{message[:1].upper()}{message[1:]}.", self.prog, fix)
 
 
 class DefaultsFormatter(argparse.HelpFormatter):
@@ -92,18 +86,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str], screen: VerbOutput) -> int:
     try:
         return _dispatch(words, screen)
-    except InputError as error:
+    except core.InputError as error:
         _complain(screen, error.what, error.where, error.fix)
         return BAD_INPUT
-    except FaultError as error:
+    except core.FaultError as error:
         fault = error.fault
         _complain(screen, f"{fault.what} {fault.consequence}", fault.code, fault.next_step)
         return FAILED
-    except RefusedError as error:
+    except core.RefusedError as error:
         fix = error.next_step or "Correct this and run the command again."
         _complain(screen, error.what, error.reason, fix)
         return FAILED
-    except TouchdownError as error:
+    except core.TouchdownError as error:
         _complain(screen, str(error), type(error).__name__, "")
         return FAILED
     except KeyboardInterrupt:
@@ -136,7 +130,7 @@ def _dispatch(words: list[str], screen: VerbOutput) -> int:
     name, rest = words[0], words[1:]
     if name not in VERBS:
         near = ", ".join(difflib.get_close_matches(name, VERBS) or VERBS)
-        raise InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {near}.")
+        raise core.InputError(f"There is no verb '{name}'.", "touchdown", f"Use one of: {near}.")
     parser = parser_of(name)
     args, unknown = parser.parse_known_args(rest)
     if hasattr(args, "handed_on"):
@@ -166,7 +160,7 @@ def _lab_of(words: list[str]) -> str:
         file = value.removeprefix("--bench=")
         if option in ("", "--bench") or file != value:
             # A file that cannot be read is reported by the verb itself.
-            with suppress(InputError, OSError):
+            with suppress(core.InputError, OSError):
                 if file.endswith(".toml") and Path(file).is_file() and is_lab_file(Path(file)):
                     return file
     return ""
@@ -189,7 +183,7 @@ def _front() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    front.add_argument("--version", action="version", version=program_stamp())
+    front.add_argument("--version", action="version", version=core.program_stamp())
     return front
 
 

@@ -31,39 +31,32 @@ START_OVERRIDE = 10  # default of --override: percent of every speed in air
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that choose a bench: simulated, emulated or of a lab file."""
-    parser.add_argument(
-        "--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)"
-    )
-    parser.add_argument(
-        "--home", action="store_true", help="with a lab file: home the empty gripper first"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--bench", metavar="FILE", help="lab file, or settings of the simulated bench (TOML)")
+    add("--home", action="store_true", help="with a lab file: home the empty gripper first")
+    add(
         "--override",
         type=int,
         choices=range(10, 101, 10),
         metavar="PERCENT",
         help=f"with a lab file: share of every speed in air (default: {START_OVERRIDE})",
     )
-    parser.add_argument(
+    add(
         "--emulated",
         action="store_true",
         help="through real drivers and wires to emulated devices, in real time",
     )
-    parser.add_argument(
-        "--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1, bench-v2"
-    )
-    parser.add_argument(
+    add("--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1, bench-v2")
+    add(
         "--inject",
         action="append",
         default=[],
         metavar="FAULT",
         help="scripted fault such as tactile_left:freeze@3.0 (may be given several times)",
     )
-    parser.add_argument(
-        "--faults", type=Path, metavar="FILE", help="with --emulated: fault plan (TOML)"
-    )
-    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
-    parser.add_argument(
+    add("--faults", type=Path, metavar="FILE", help="with --emulated: fault plan (TOML)")
+    add("--pieces", metavar="DIR", help="folder with further piece files")
+    add(
         "--notify",
         metavar="COMMAND",
         help="call a person on a fault, on a question and at the end: the command gets a title and "

@@ -215,16 +215,13 @@ ACTIONS: dict[str, DatasetAction] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     lines = "; ".join(f"{name}: {(act.__doc__ or '')[:-1]}" for name, act in ACTIONS.items())
-    parser.add_argument("action", nargs="?", choices=ACTIONS, default="status", help=lines)
-    parser.add_argument(
-        "other", nargs="?", type=Path, help="the backup to restore, or the copy to merge"
-    )
-    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
-    parser.add_argument("--person", help="who merges or resolves (default: the account)")
-    parser.add_argument(
-        "--resolve", action="store_true", help="verify: mark repaired damage as resolved"
-    )
-    parser.add_argument("--replace", action="store_true", help="rebuild: replace the catalogue")
+    add = parser.add_argument
+    add("action", nargs="?", choices=ACTIONS, default="status", help=lines)
+    add("other", nargs="?", type=Path, help="the backup to restore, or the copy to merge")
+    add("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    add("--person", help="who merges or resolves (default: the account)")
+    add("--resolve", action="store_true", help="verify: mark repaired damage as resolved")
+    add("--replace", action="store_true", help="rebuild: replace the catalogue")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

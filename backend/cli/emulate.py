@@ -41,47 +41,40 @@ BENCH = "bench"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("kind", choices=[*emulated_makes(), BENCH], help="device, or a whole bench")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    parser.add_argument("--port", type=_port, help="port (default: a free one)")
-    parser.add_argument(
-        "--tty", type=_absolute, metavar="LINK", help="link to the serial port of a wrist sensor"
-    )
-    parser.add_argument("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("kind", choices=[*emulated_makes(), BENCH], help="device, or a whole bench")
+    add("--host", default="127.0.0.1", help="address to listen on")
+    add("--port", type=_port, help="port (default: a free one)")
+    add("--tty", type=_absolute, metavar="LINK", help="link to the serial port of a wrist sensor")
+    add("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
+    add(
         "--load",
         type=_wrench,
         metavar="Fx,Fy,Fz,Tx,Ty,Tz",
         help="wrench on a wrist sensor, N and N·m (default: a swaying gripper)",
     )
-    parser.add_argument(
-        "--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none"
-    )
-    parser.add_argument("--text", action="store_true", help="a gripper with its text protocol")
-    parser.add_argument(
-        "--folder", type=_absolute, metavar="DIR", help="folder of the emulated camera"
-    )
-    parser.add_argument("--finger", choices=core.FINGERS, default="left", help="which camera")
-    parser.add_argument("--serial", default=SERIAL, help="number of the camera")
-    parser.add_argument(
-        "--film", type=Path, metavar="FILE", help="video or picture that the camera sees"
-    )
-    parser.add_argument(
+    add("--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none")
+    add("--text", action="store_true", help="a gripper with its text protocol")
+    add("--folder", type=_absolute, metavar="DIR", help="folder of the emulated camera")
+    add("--finger", choices=core.FINGERS, default="left", help="which camera")
+    add("--serial", default=SERIAL, help="number of the camera")
+    add("--film", type=Path, metavar="FILE", help="video or picture that the camera sees")
+    add(
         "--lab-file",
         type=Path,
         metavar="FILE",
         help="of a bench: write the lab file that leads to it; see 'touchdown app --bench'",
     )
-    parser.add_argument("--piece", default="pot", help="of a bench: the grasped piece")
-    parser.add_argument("--bottom", default="short", help="of a bench: the bottom")
-    parser.add_argument("--preset", default="mixed", help="of a bench: noise preset")
-    parser.add_argument("--seed", type=int, default=1, help="of a bench")
-    parser.add_argument(
+    add("--piece", default="pot", help="of a bench: the grasped piece")
+    add("--bottom", default="short", help="of a bench: the bottom")
+    add("--preset", default="mixed", help="of a bench: noise preset")
+    add("--seed", type=int, default=1, help="of a bench")
+    add(
         "--jig",
         action="store_true",
         help="of a bench: with an operator who hands the piece over from a jig",
     )
-    parser.add_argument(
+    add(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
     )
 

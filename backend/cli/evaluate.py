@@ -19,22 +19,19 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("model", type=Path, help="model file (.safetensors)")
-    parser.add_argument(
-        "data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("model", type=Path, help="model file (.safetensors)")
+    add("data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote")
+    add(
         "--labels", choices=("approved", "submitted", "drafts"), default="approved",
         help="which labels of a dataset count",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--delta", type=float, default=StabilitySettings().delta,
         help="a point supports above this probability",
     )  # fmt: skip
-    parser.add_argument(
-        "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
-    )
-    parser.add_argument(
+    add("--pieces", type=Path, metavar="DIR", help="folder with further piece files")
+    add(
         "--calibrate", action="store_true", help="fit temperature, bias and prior of the strategy "
         "paper-calibrated to these episodes and store them with the model; the mountings should "
         "not be those of the training",

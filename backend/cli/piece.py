@@ -14,46 +14,43 @@ from touchdown.backend.core import InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("action", choices=("add", "list", "show"), help="what to do")
-    parser.add_argument(
+    add = parser.add_argument
+    add("action", choices=("add", "list", "show"), help="what to do")
+    add(
         "source", nargs="?", help="add: mesh (STL, OBJ, PLY, OFF) or outline (SVG, DXF); show: name"
     )
-    parser.add_argument(
+    add(
         "--face",
         choices=get_args(geometry.PieceEnd),
         help="side of the mesh that is the contact face (default: bottom; of a bottom: top)",
     )
-    parser.add_argument(
+    add(
         "--role",
         choices=get_args(geometry.PieceRole),
         default="top",
         help="top: is grasped and placed; bottom: is stacked upon; both",
     )
-    parser.add_argument(
+    add(
         "--units",
         choices=tuple(geometry.UNITS_MM),
         help="unit of the file (default: the one named in it, mm)",
     )
-    parser.add_argument("--density", type=float, metavar="G_CM3", help="uniform density")
-    parser.add_argument("--mass", type=float, metavar="G", help="mass, instead of a density")
-    parser.add_argument("--height", type=float, metavar="MM", help="height over a drawn outline")
-    parser.add_argument(
+    add("--density", type=float, metavar="G_CM3", help="uniform density")
+    add("--mass", type=float, metavar="G", help="mass, instead of a density")
+    add("--height", type=float, metavar="MM", help="height over a drawn outline")
+    add(
         "--grip", type=float, metavar="MM",
         help="height of the grip above the face (default: 0.7 of the height)",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--com", choices=get_args(geometry.CentreOfMass),
         help="centre of mass: uniform density, or unknown and weighed by each run (default: "
         "uniform, but unknown for an outline with --mass)",
     )  # fmt: skip
-    parser.add_argument("--name", help="name of the piece (default: that of the file)")
-    parser.add_argument("--title", default="", help="title (default: from the name)")
-    parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="folder (default: pieces in the data folder)"
-    )
-    parser.add_argument(
-        "--pieces", type=Path, metavar="DIR", help="folder with further piece files"
-    )
+    add("--name", help="name of the piece (default: that of the file)")
+    add("--title", default="", help="title (default: from the name)")
+    add("--out", type=Path, metavar="FOLDER", help="folder (default: pieces in the data folder)")
+    add("--pieces", type=Path, metavar="DIR", help="folder with further piece files")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -21,23 +21,18 @@ KEPT = "Free some space, then repeat the call with the same --start; finished jo
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("--piece", default="pot", help="grasped piece")
-    parser.add_argument(
-        "--bottoms", default="circle15,circle25,square15", help="bottoms, separated by commas"
-    )
-    parser.add_argument("--episodes", type=int, default=2000, help="episodes per bottom")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the pack files")
-    parser.add_argument(
-        "--probes-per-grip", type=int, default=50, help="1: a new grip for every probe"
-    )
-    parser.add_argument("--grips-per-mounting", type=int, default=10)
-    parser.add_argument(
-        "--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1, bench-v2"
-    )
-    parser.add_argument("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
-    parser.add_argument("--pieces", metavar="DIR", help="folder with further piece files")
-    parser.add_argument(
+    add = parser.add_argument
+    add("--piece", default="pot", help="grasped piece")
+    add("--bottoms", default="circle15,circle25,square15", help="bottoms, separated by commas")
+    add("--episodes", type=int, default=2000, help="episodes per bottom")
+    add("--seed", type=int, default=1)
+    add("--out", metavar="DIR", required=True, help="folder for the pack files")
+    add("--probes-per-grip", type=int, default=50, help="1: a new grip for every probe")
+    add("--grips-per-mounting", type=int, default=10)
+    add("--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1, bench-v2")
+    add("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    add("--pieces", metavar="DIR", help="folder with further piece files")
+    add(
         "--start", metavar="TIME",
         help="time of the first episode, such as 2026-01-31T12:00:00+01:00 (default: now); the "
         "same seed and start give the same files, and continue an interrupted call",

@@ -37,39 +37,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     connection.add_scene_arguments(
         parser, BOTTOM, "support, bottom-up and joined by + for a tower, such as short+long"
     )
-    parser.add_argument("--seed", type=int, default=0, help="trial k uses seed + k")
-    parser.add_argument("--trials", type=int, default=1)
-    parser.add_argument("--strategy", choices=get_args(StrategyChoice), default="paper")
+    add = parser.add_argument
+    add("--seed", type=int, default=0, help="trial k uses seed + k")
+    add("--trials", type=int, default=1)
+    add("--strategy", choices=get_args(StrategyChoice), default="paper")
     known = "checkpoint (default: the one in use); the networks of fused decide without it"
-    parser.add_argument("--model", metavar="FILE", help=known)
-    parser.add_argument(
-        "--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')"
-    )
-    parser.add_argument(
+    add("--model", metavar="FILE", help=known)
+    add("--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')")
+    add(
         "--mode",
         choices=("auto", "approve", "step"),
         help="ask before a move (default: auto when simulated, approve on devices)",
     )
-    parser.add_argument(
+    add(
         "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
         help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
     )  # fmt: skip
-    parser.add_argument(
-        "--reset-guard", metavar="REASON", help="of fused: restart the comparison of the signals"
-    )
-    parser.add_argument(
+    add("--reset-guard", metavar="REASON", help="of fused: restart the comparison of the signals")
+    add(
         "--weigh", action="store_true",
         help="weigh the piece in six poses first, and judge by its measured centre of mass",
     )  # fmt: skip
-    parser.add_argument(
+    add(
         "--staged", action="store_true",
         help="open the jaws in held steps, and close them if the piece begins to turn",
     )  # fmt: skip
     connection.add_bench_arguments(parser)
-    parser.add_argument("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
-                        help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip
-    parser.add_argument("--runs", metavar="DIR", help="folder for runs (default: data folder)")
-    parser.add_argument("--no-episodes", action="store_true", help="store the journal only")
+    add("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
+        help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip
+    add("--runs", metavar="DIR", help="folder for runs (default: data folder)")
+    add("--no-episodes", action="store_true", help="store the journal only")
 
 
 def run(args: argparse.Namespace, screen: output.VerbOutput) -> int:

@@ -10,27 +10,10 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from touchdown.backend import core
+from touchdown.backend import core, placement
 from touchdown.backend.config import BenchIdentity, StackSettings
 from touchdown.backend.devices import ReleaseEvidence
-from touchdown.backend.learning.fused import (
-    CertificateStatus,
-    ReleaseClaim,
-    find_certificate,
-    method_sha256,
-    network_path,
-    signal_score,
-)
-from touchdown.backend.placement import (
-    GraspedPiece,
-    GraspStrategy,
-    ProbeObservation,
-    SearchingStrategy,
-    Strategy,
-    check_outlines,
-    load_network_of,
-    make_strategy,
-)
+from touchdown.backend.learning import fused
 from touchdown.backend.runs import messages, motions, outcome
 from touchdown.backend.runs.bench import Bench, JudgedProbe, PressedProbe, RunContext
 from touchdown.backend.runs.calibrate import check_weighing, weigh_empty, weigh_held
@@ -97,7 +80,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
     """Place the piece by the strategy; else the trial ends knocked over, asked or given up."""
     yield from motions.take_piece(bench)
     here = bench.arm.pose(max_age_s=0.2)
-    strategy = make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
+    strategy = placement.make_strategy(grasped_piece(bench), bench.settings, (here.x_mm, here.y_mm))
     approved, counted = False, False
     probe = turns = 0
     while True:
@@ -125,7 +108,7 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
             ended = yield from _let_go(bench, judged, approved=True)
             if ended is not None:
                 return ended
-            if isinstance(strategy, GraspStrategy):
+            if isinstance(strategy, placement.GraspStrategy):
                 strategy.regrasped(bench.settings.release.regrasp_sigma_mm)
             turns, approved = turns + 1, False
             if turns == MOST_TURNS:
@@ -148,22 +131,22 @@ def place_piece(bench: Bench) -> Plan[TrialResult]:
             yield from _shift(bench, strategy, action, probe)
 
 
-def grasped_piece(bench: Bench) -> GraspedPiece:
+def grasped_piece(bench: Bench) -> placement.GraspedPiece:
     """Return the properties of the held piece that a strategy may use."""
     piece = bench.piece
     assert piece.grip_height_mm is not None
-    return GraspedPiece(
+    return placement.GraspedPiece(
         piece.com_xy_mm, piece.grip_height_mm, bench.estimator.base_rate, bench.sensor_height_mm,
         bench.below, bench.estimator.calibration, bench.com_sigma_mm,
     )  # fmt: skip
 
 
-def _judge(bench: Bench, pressed: PressedProbe, strategy: Strategy) -> Plan[JudgedProbe]:
+def _judge(bench: Bench, pressed: PressedProbe, strategy: placement.Strategy) -> Plan[JudgedProbe]:
     """Estimate the contact patch and decide; events are published after the decision."""
     episode = pressed.episode
     here = (float(episode.offset_mm[0]), float(episode.offset_mm[1]))
     patch = bench.estimator.estimate(episode)
-    concluded = strategy.conclude(ProbeObservation(episode.observation, patch, here))
+    concluded = strategy.conclude(placement.ProbeObservation(episode.observation, patch, here))
     stability, action = concluded.stability, concluded.action
     latency_ms = 1e3 * (bench.wall_s() - pressed.sampled_s)
     bench.repaint_hold.end()
@@ -195,13 +178,15 @@ def _let_go(bench: Bench, judged: JudgedProbe, *, approved: bool) -> Plan[TrialR
 
 
 def _probe_or_search(
-    bench: Bench, probe: int, strategy: Strategy
+    bench: Bench, probe: int, strategy: placement.Strategy
 ) -> Plan[PressedProbe | core.PlaceAction]:
     """Probe; without contact a searching strategy returns its next move instead."""
     try:
         return (yield from probe_until_accepted(bench, probe))
     except core.FaultError as cause:
-        if cause.fault.code != "NO-CONTACT" or not isinstance(strategy, SearchingStrategy):
+        if cause.fault.code != "NO-CONTACT" or not isinstance(
+            strategy, placement.SearchingStrategy
+        ):
             raise
     here = bench.arm.pose(max_age_s=0.2)
     return strategy.missed((here.x_mm, here.y_mm))
@@ -241,20 +226,22 @@ def _unapproved(bench: Bench, action: core.PlaceAction, probe: int) -> Plan[Tria
     return None if reply else TrialResult(core.Outcome.ABORTED, DECLINED, probe)
 
 
-def _shift(bench: Bench, strategy: Strategy, action: core.PlaceAction, probe: int) -> Plan[None]:
+def _shift(
+    bench: Bench, strategy: placement.Strategy, action: core.PlaceAction, probe: int
+) -> Plan[None]:
     """Move to the next place; after the operator's yes to go on, to the one asked about."""
     if action.kind == "ask":
-        assert isinstance(strategy, SearchingStrategy)
+        assert isinstance(strategy, placement.SearchingStrategy)
         action = strategy.go_on()
     yield from motions.shift_piece(bench, action.step_mm, probe)
 
 
-def _count_signals(bench: Bench, strategy: Strategy) -> Plan[None]:
+def _count_signals(bench: Bench, strategy: placement.Strategy) -> Plan[None]:
     """Compare the signals of the trial so far with those of the calibration, once a trial."""
-    if bench.guard is None or not isinstance(strategy, SearchingStrategy):
+    if bench.guard is None or not isinstance(strategy, placement.SearchingStrategy):
         return
     withdrawn = bench.guard.withdrawn
-    bench.guard.observe(bench.piece.name, signal_score(strategy.signal_distances()))
+    bench.guard.observe(bench.piece.name, fused.signal_score(strategy.signal_distances()))
     if bench.guard.withdrawn and not withdrawn:
         yield core.Said(bench.now_s(), bench.guard.describe())
 
@@ -277,48 +264,48 @@ def check_pieces(session: RunContext, request: StackRequest) -> None:
     names, catalogue = (request.piece, *request.bottoms), session.catalogue
     known = [catalogue.pieces[name] for name in names if name in catalogue.pieces]
     method = request.method(session.method)
-    check_outlines(method, known)
+    placement.check_outlines(method, known)
     if request.piece in catalogue.pieces:
         check_weighing(catalogue.pieces[request.piece], method)
 
 
 def certificate_status(
     bench: BenchIdentity, base: StackSettings, request: StackRequest
-) -> CertificateStatus:
+) -> fused.CertificateStatus:
     """Return the certificate that covers a run, or the reason why none does.
 
     Certificates lie beside the checkpoint, and in the calibrations of a laboratory. Raises
     ``InputError`` if the network cannot be read.
     """
     if not request.learned:
-        return CertificateStatus(None, "only learned fusion can have one")
+        return fused.CertificateStatus(None, "only learned fusion can have one")
     if request.weigh:
-        return CertificateStatus(None, "none covers a weighed centre of mass")
+        return fused.CertificateStatus(None, "none covers a weighed centre of mass")
     method = request.method(base)
-    weights = network_path(method.fused.weights)
+    weights = fused.network_path(method.fused.weights)
     own = () if bench.calibrations is None else (bench.calibrations,)
-    claim = ReleaseClaim(
+    claim = fused.ReleaseClaim(
         bench.name,
         bench.sha256,
-        load_network_of(method.fused).card.weights_sha256,
+        placement.load_network_of(method.fused).card.weights_sha256,
         method,
         request.piece,
         request.bottoms,
         (weights.parent, *own),
     )
-    return find_certificate(claim)
+    return fused.find_certificate(claim)
 
 
 def release_record(
-    bench: BenchIdentity, base: StackSettings, request: StackRequest, found: CertificateStatus
+    bench: BenchIdentity, base: StackSettings, request: StackRequest, found: fused.CertificateStatus
 ) -> dict[str, Any]:
     """Return the part of a run's record that a certificate of its trials is made from."""
     method = request.method(base)
     return {
         "bench": bench.name,
         "bench_sha256": bench.sha256,
-        "weights_sha256": load_network_of(method.fused).card.weights_sha256,
-        "method_sha256": method_sha256(method),
+        "weights_sha256": placement.load_network_of(method.fused).card.weights_sha256,
+        "method_sha256": fused.method_sha256(method),
         "risk": method.fused.risk,
         "weighed": request.weigh,
         "certificate": found.text,

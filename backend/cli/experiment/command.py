@@ -9,19 +9,11 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from touchdown.backend import experiments
+from touchdown.backend import core, experiments
 from touchdown.backend.annotations import LABEL_CHOICES
 from touchdown.backend.cli.experiment import campaign
 from touchdown.backend.cli.output import VerbOutput, require_positive
 from touchdown.backend.config import SimulationSettings, StackSettings
-from touchdown.backend.core import (
-    InputError,
-    disk_errors,
-    make_folder,
-    package_version,
-    read_limited,
-    write_atomically,
-)
 from touchdown.backend.geometry import FRESH_SEED, load_pieces
 from touchdown.backend.runs import check_weighing
 
@@ -99,7 +91,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
     known &= args.surface_parts == 0 or args.outlines == "any"
     known &= args.batch >= 1
     if not known or min(args.steps, args.seed) < 0:
-        raise InputError(
+        raise core.InputError(
             "A number of parts, networks or steps, batch or seed is out of range.",
             "--parts, --long-parts, --longest-parts, --free-parts, --surface-parts, --networks, "
             "--steps, --batch, --seed",
@@ -107,7 +99,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
             "--outlines any, 2 to 180 on uneven bottoms (with one of them but free ones also no "
             f"others), and 1 to {MOST_NETWORKS} networks.",
         )
-    bench, code = run.bench(), package_version("touchdown")
+    bench, code = run.bench(), core.package_version("touchdown")
     ranges = _ranges(args.ranges) if args.ranges else {}
     recipe = experiments.FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
@@ -121,7 +113,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
         if any(len(some) == 1 for some in recipe.ready.values()) or not any(recipe.ready.values()):
             what = "There are too few finished sequences of this bench and family."
             fix = "Simulate at least two jobs of each portion, with --steps 0."
-            raise InputError(what, str(store.root), fix)
+            raise core.InputError(what, str(store.root), fix)
     jobs = recipe.jobs()
     answer: campaign.Json = {"file": None, "fused": None}
     run.run(jobs)
@@ -129,7 +121,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
     if args.steps and store.has(training):
         weights = store.folder(training) / experiments.WEIGHTS
         for made_there, wanted in ((card_path(weights), card_path(out)), (weights, out)):
-            write_atomically(wanted, made_there.read_bytes())
+            core.write_atomically(wanted, made_there.read_bytes())
         run.screen.say(f"The network is in {out}.")
         answer |= {"file": str(out), "fused": store.result(training)}
     return {**answer, **run.counts()}
@@ -138,13 +130,13 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
 def _ranges(path: Path) -> dict[str, list[float]]:
     """Return the ranges in the figures of an identification; raises ``InputError``."""
     try:
-        found = json.loads(read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
+        found = json.loads(core.read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
         ranges = {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
         if not all(0.0 <= high - low < math.inf for low, high in ranges.values()):
             raise ValueError
         return ranges
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError("This file has no ranges.", str(path), RANGES_FIX) from error
+        raise core.InputError("This file has no ranges.", str(path), RANGES_FIX) from error
 
 
 def _tuning(run: campaign.ExperimentRun, bench: SimulationSettings) -> campaign.Json:
@@ -155,7 +147,7 @@ def _tuning(run: campaign.ExperimentRun, bench: SimulationSettings) -> campaign.
     if args.pretrained is None and args.data is None:
         return {}
     if args.pretrained is None or not (0.0 < args.mix_share < 1.0 and 0.0 < args.rate < 1.0):
-        raise InputError(
+        raise core.InputError(
             "A fine-tuning needs a network, a learning rate, and simulated sequences beside the "
             "labelled ones.",
             "--from, --rate, --mix-share",
@@ -221,7 +213,7 @@ def run(args: argparse.Namespace, screen: VerbOutput) -> int:
     """Run all unfinished jobs, then write the page; return 0 if no job failed."""
     if args.what == "report":
         file = args.tables or args.out / experiments.DATA
-        with disk_errors(campaign.UNWRITTEN, file, campaign.KEPT):
+        with core.disk_errors(campaign.UNWRITTEN, file, campaign.KEPT):
             page = experiments.rewrite_tables(file, args.beyond)
         screen.say(f"Written: {page}")
         screen.result({"page": str(page), "file": str(file)})
@@ -237,10 +229,10 @@ def run_tables(run: campaign.ExperimentRun) -> campaign.Json:
     args = run.args
     recipe = _recipe(run)
     run.run(recipe.jobs())
-    with disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
+    with core.disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
         page, answer = experiments.write_tables(args.out, recipe, run.store)
     if args.keep_models:
-        with disk_errors(campaign.UNWRITTEN, args.keep_models, campaign.KEPT):
+        with core.disk_errors(campaign.UNWRITTEN, args.keep_models, campaign.KEPT):
             args.keep_models.mkdir(parents=True, exist_ok=True)
             kept = experiments.keep_models(run.store, recipe, args.keep_models)
         run.screen.say(f"{len(kept)} models: {args.keep_models}")
@@ -261,7 +253,7 @@ def run_beyond(run: campaign.ExperimentRun) -> campaign.Json:
     answer = plan.answer(run.store, args.stop_early)
     if args.stop_early:
         screen.say(experiments.stopped_text(answer["stopped"]))
-    with disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
+    with core.disk_errors(campaign.UNWRITTEN, args.out, campaign.KEPT):
         path = experiments.write_comparison(args.out, answer)
     for sheet in experiments.comparison_tables(answer):
         screen.table(sheet.title, *sheet.texts())
@@ -279,7 +271,7 @@ def _run_rounds(plan: experiments.StrategyComparison, run: campaign.ExperimentRu
     ):
         what = "An early stop needs two strategies and all of their trials on one computer."
         fix = "Leave out --shard, and name a strategy and its reference with --strategies."
-        raise InputError(what, "--stop-early", fix)
+        raise core.InputError(what, "--stop-early", fix)
     while jobs := plan.next_round(store, args.stop_early):
         if not run.run(jobs):
             break
@@ -293,14 +285,14 @@ def _comparison_of(run: campaign.ExperimentRun) -> experiments.StrategyCompariso
     require_positive(args, "band", least=0)
     if not re.fullmatch("[0-9a-f]{8,64}", args.outline_seed):
         fix = "Give 8 to 64 hex digits."
-        raise InputError(f"'{args.outline_seed}' is not a hash.", "--outline-seed", fix)
+        raise core.InputError(f"'{args.outline_seed}' is not a hash.", "--outline-seed", fix)
     found = run.models(bench)
     for piece in pieces:
         for name in strategies:
             _check_cell(piece, name, known=(piece, "FT+Tac") in found)
     loops = experiments.ClosedLoopComparison(
         bench=bench,
-        code=package_version("touchdown"),
+        code=core.package_version("touchdown"),
         models={piece: found.get((piece, "FT+Tac"), "") for piece in pieces},
         pieces=pieces,
         bottoms=campaign.parse_names(args.bottoms, experiments.BOTTOMS, "--bottoms"),
@@ -316,7 +308,9 @@ def _check_cell(piece: str, name: str, *, known: bool) -> None:
     strategy = experiments.base_strategy(name)
     if not known and strategy not in experiments.MODEL_FREE:
         fix = f"Choose from {', '.join(experiments.MODEL_FREE)}."
-        raise InputError(f"There is no model of '{piece}', which '{strategy}' needs.", name, fix)
+        raise core.InputError(
+            f"There is no model of '{piece}', which '{strategy}' needs.", name, fix
+        )
     if strategy != experiments.CEILING:
         check_weighing(load_pieces().top(piece), experiments.method_of(name, StackSettings()))
 
@@ -328,13 +322,13 @@ def _recipe(run: campaign.ExperimentRun) -> experiments.Recipe:
     scale = experiments.SCALES[args.scale]
     if args.keep_models and not scale.probes:
         fix = "Leave it out or use --full."
-        raise InputError(f"--{args.scale} trains no models.", "--keep-models", fix)
+        raise core.InputError(f"--{args.scale} trains no models.", "--keep-models", fix)
     if args.models and scale.probes:
         fix = "Leave it out or use --quick."
-        raise InputError("--full trains its own models.", "--models", fix)
+        raise core.InputError("--full trains its own models.", "--models", fix)
     models = {} if scale.probes else run.models(bench)
     return experiments.Recipe(
-        scale, bench, package_version("touchdown"), models, pieces, args.device
+        scale, bench, core.package_version("touchdown"), models, pieces, args.device
     )
 
 
@@ -357,13 +351,13 @@ def run_evaluation(run: campaign.ExperimentRun) -> campaign.Json:
     from touchdown.backend.simulation import import_mujoco
     from touchdown.backend.simulation.second_world import import_skfem
 
-    args, bench, code = run.args, run.bench(), package_version("touchdown")
+    args, bench, code = run.args, run.bench(), core.package_version("touchdown")
     if min(args.groups, args.trials) < 0 or args.groups + args.trials == 0:
         fix = "Give a positive number of one."
-        raise InputError("The counts give no presses.", "--groups, --trials", fix)
+        raise core.InputError("The counts give no presses.", "--groups, --trials", fix)
     (piece, *others) = campaign.parse_names(args.pieces, experiments.PIECES, "--pieces")
     if others:
-        raise InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
+        raise core.InputError("Only one piece is evaluated.", "--pieces", "Name one piece.")
     bottoms = campaign.parse_names(args.bottoms, experiments.TABLE_BOTTOMS, "--bottoms")
     strategies = campaign.parse_strategies(args.strategies, experiments.EVALUATED_STRATEGIES)
     require_positive(args, "first", least=0)
@@ -427,7 +421,7 @@ def run_certify(run: campaign.ExperimentRun) -> campaign.Json:
     screen = run.screen
     plan = _plan(run, run.args.model or shipped_path())
     log = AttemptLog(attempts_path(plan.weights))
-    make_folder(run.store.root)  # before an attempt is spent
+    core.make_folder(run.store.root)  # before an attempt is spent
     attempt = plan.begin(log)
     screen.say(
         f"Attempt {attempt.number}, error {100 * attempt.error:.3g} % for each risk, seeds from "
@@ -440,7 +434,7 @@ def run_certify(run: campaign.ExperimentRun) -> campaign.Json:
         attempt = log.closed(attempt, counts)
         found = certificate_of_attempt(attempt, simulated=True, pieces=experiments.PIECES)
         # The log last: an attempt that is interrupted here is continued.
-        with disk_errors(campaign.UNWRITTEN, plan.weights.parent, KEPT_BESIDE):
+        with core.disk_errors(campaign.UNWRITTEN, plan.weights.parent, KEPT_BESIDE):
             if found is not None:
                 file = write_certificate(plan.weights.parent, plan.weights.stem, found)
         log.append(attempt)
@@ -470,11 +464,11 @@ def _plan(run: campaign.ExperimentRun, weights: Path) -> experiments.Certificati
     except ValueError as error:
         what = "A certificate is of a risk that was chosen before."
         fix = "Give a probability between 0 and 1, such as 0.03, or several different ones."
-        raise InputError(what, "--level", fix) from error
+        raise core.InputError(what, "--level", fix) from error
     if args.scenes < experiments.LEAST_SCENES:
         fix = f"Give at least {experiments.LEAST_SCENES}."
-        raise InputError(f"{args.scenes} scenes are too few.", "--scenes", fix)
-    name, code = args.bench.stem if args.bench else bench.preset, package_version("touchdown")
+        raise core.InputError(f"{args.scenes} scenes are too few.", "--scenes", fix)
+    name, code = args.bench.stem if args.bench else bench.preset, core.package_version("touchdown")
     return experiments.Certification(bench, name, weights.resolve(), risks, args.scenes, code)
 
 

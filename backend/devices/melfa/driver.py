@@ -26,11 +26,7 @@ from touchdown.backend.core import (
     rotation_vector,
 )
 from touchdown.backend.devices import streamed
-from touchdown.backend.devices.melfa.command_channel import (
-    Console,
-    ControllerLinks,
-    ControllerPoller,
-)
+from touchdown.backend.devices.melfa import command_channel
 from touchdown.backend.devices.melfa.faults import link_fault
 from touchdown.backend.devices.melfa.force_program import AirBaseline, ForceProgram
 from touchdown.backend.devices.melfa.kinematics import JOINT_RANGES, MelfaPlacement
@@ -162,7 +158,7 @@ class MelfaArm:
 
     def __init__(
         self,
-        wires: ControllerLinks,
+        wires: command_channel.ControllerLinks,
         wrench: SampleStream,
         settings: MelfaSettings,
         now_s: Callable[[], float],
@@ -175,9 +171,9 @@ class MelfaArm:
         self.poses = self._measured.poses
         self._orders, self.steps = MelfaPrograms(settings), ConnectionSteps()
         self._core = StreamCore(settings, self._orders.placing)
-        self._watch: ControllerPoller | None = None
+        self._watch: command_channel.ControllerPoller | None = None
         self._stopped = threading.Event()
-        self._console = Console(wires, settings, self._stopped, threading.Event())
+        self._console = command_channel.Console(wires, settings, self._stopped, threading.Event())
         self._force = ForceProgram(lambda: self._console, wires, settings)
         self._lock = threading.Lock()
         self.state = DeviceState.CLOSED  # state of the connection
@@ -295,7 +291,7 @@ class MelfaArm:
         with self._lock:
             if self._stopped.is_set():
                 raise FaultError(STOPPED)
-            self._watch = ControllerPoller(self._wires.ask, placing, euler)
+            self._watch = command_channel.ControllerPoller(self._wires.ask, placing, euler)
             self._wrench_cursor = self._wrench.count
             self._core.begin(self._now_s())
         waited_s = 0.0
@@ -329,7 +325,7 @@ class MelfaArm:
             self._wires.stop_now(END)
         return out.packet
 
-    def _supervise(self, now_s: float, watch: ControllerPoller) -> None:
+    def _supervise(self, now_s: float, watch: command_channel.ControllerPoller) -> None:
         streaming = self._core.phase in (Phase.OPEN, Phase.HOLDING)
         watch.step(now_s, streaming=streaming, probing=self._force.running)
         if watch.place_mm is not None:

@@ -15,15 +15,6 @@ from dataclasses import dataclass
 from touchdown.backend.config import WsgSettings
 from touchdown.backend.devices.framing import LineStream, ProtocolError
 from touchdown.backend.devices.wsg import gcl, protocol
-from touchdown.backend.devices.wsg.gcl import (
-    GclAnswer,
-    GclAssignment,
-    GclCall,
-    GclError,
-    GclLine,
-    GclQuery,
-    Scalar,
-)
 from touchdown.backend.devices.wsg.protocol import (
     ACKNOWLEDGE_KEY,
     GraspState,
@@ -407,7 +398,7 @@ READINGS = {
     "TEMP": WsgCommand.TEMPERATURE,
     "GRIPSTATE": WsgCommand.GRASP_STATE,
 }
-SELVES: dict[str, Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
+SELVES: dict[str, gcl.Scalar] = {"DEVTYPE": '"WSG 32-068"', "VERSION": "4.0.1", "SN": SERIAL}
 KEPT = ("VERBOSE", "PWT", "CLT", "TAG")  # variables that can be set; the value is echoed
 ORDERS = {
     "STOP": WsgRequest(WsgCommand.STOP),
@@ -437,17 +428,17 @@ class EmulatedGcl:
 
     def __init__(self, gripper: EmulatedWsg, settings: WsgSettings | None = None) -> None:
         self.gripper, self._settings = gripper, settings or WsgSettings()
-        self._lines = LineStream[GclLine | UnknownLine](_read, gcl.LONGEST)
+        self._lines = LineStream[gcl.GclLine | UnknownLine](_read, gcl.LONGEST)
         self._replies = protocol.replies()
         self._called: dict[int, str] = {}
         self._acknowledged_s = -APART_S
-        self._waiting: list[tuple[float, GclLine]] = []
+        self._waiting: list[tuple[float, gcl.GclLine]] = []
         self._auto: dict[str, PeriodicUpdate] = {}
-        self._verbose, self._kept = False, dict[str, GclLine]()
+        self._verbose, self._kept = False, dict[str, gcl.GclLine]()
 
     def receive(self, now_s: float, data: bytes) -> bytes:
         """Process lines; return the immediate answers."""
-        out: list[GclLine] = []
+        out: list[gcl.GclLine] = []
         for asked in self._lines.feed(data):
             answer = self._answer(now_s, asked)
             out += [*self._ends(now_s), *answer]
@@ -470,47 +461,47 @@ class EmulatedGcl:
         self._waiting.clear()
         self.gripper.closed(now_s)
 
-    def _ends(self, now_s: float) -> list[GclLine]:
+    def _ends(self, now_s: float) -> list[gcl.GclLine]:
         out = [line for at_s, line in self._waiting if at_s <= now_s]
         self._waiting = [item for item in self._waiting if item[0] > now_s]
         return out
 
-    def _answer(self, now_s: float, asked: GclLine | UnknownLine) -> list[GclLine]:
+    def _answer(self, now_s: float, asked: gcl.GclLine | UnknownLine) -> list[gcl.GclLine]:
         match asked:
             case UnknownLine(name):
                 known = name in COMMANDS
                 wrong = WsgStatus.CMD_FORMAT_ERROR if known else WsgStatus.CMD_UNKNOWN
                 return [self._ended(name, wrong, "ACK")]
-            case GclQuery(name):
+            case gcl.GclQuery(name):
                 return self._query(now_s, name)
-            case GclAssignment(name, value) if name in KEPT:
+            case gcl.GclAssignment(name, value) if name in KEPT:
                 self._verbose = bool(value) if name == "VERBOSE" else self._verbose
                 self._kept[name] = asked
                 return [asked]
-            case GclCall("AUTOSEND", (str(name), int(period_ms), bool(third))) if (
+            case gcl.GclCall("AUTOSEND", (str(name), int(period_ms), bool(third))) if (
                 name in READINGS and period_ms > 0
             ):
                 self._auto[name] = PeriodicUpdate(period_ms / 1000, third, now_s)
-                return [GclAnswer("ACK", "AUTOSEND")]
-            case GclCall(name) if name in ORDERS:
+                return [gcl.GclAnswer("ACK", "AUTOSEND")]
+            case gcl.GclCall(name) if name in ORDERS:
                 if name == "BYE":
                     self._auto.clear()
                 status = self._ask(now_s, ORDERS[name]).status
                 return [self._ended(name, status, "ACK")]
-            case GclCall(name, arguments) if name in MOTIONS:
+            case gcl.GclCall(name, arguments) if name in MOTIONS:
                 return self._move(now_s, name, arguments)
-            case GclCall(name) | GclAssignment(name):
+            case gcl.GclCall(name) | gcl.GclAssignment(name):
                 return self._answer(now_s, UnknownLine(name.partition("[")[0]))
         return []
 
-    def _query(self, now_s: float, name: str) -> list[GclLine]:
+    def _query(self, now_s: float, name: str) -> list[gcl.GclLine]:
         if name in SELVES:
-            return [GclAssignment(name, SELVES[name])]
+            return [gcl.GclAssignment(name, SELVES[name])]
         if name in KEPT:
-            return [self._kept.get(name, GclAssignment(name, '""' if name == "TAG" else 0))]
+            return [self._kept.get(name, gcl.GclAssignment(name, '""' if name == "TAG" else 0))]
         if name == "GRIPSTATS":
             counts = self._ask(now_s, STATISTICS).values
-            return [GclAssignment(name, tuple(map(int, counts)))]
+            return [gcl.GclAssignment(name, tuple(map(int, counts)))]
         if name.startswith("SYSFLAGS"):
             told = self._ask(now_s, WsgRequest(WsgCommand.SYSTEM_STATE, (0, 0)))
             return [self._flags(name, told)]
@@ -521,26 +512,28 @@ class EmulatedGcl:
             return [self._value(name, told, float)]
         return [self._ended(name.partition("[")[0], WsgStatus.CMD_UNKNOWN, "ACK")]
 
-    def _flags(self, name: str, told: WsgReply) -> GclLine:
+    def _flags(self, name: str, told: WsgReply) -> gcl.GclLine:
         if not told.values or name not in {"SYSFLAGS", *(f"SYSFLAGS[{k}]" for k in range(FLAGS))}:
             return self._ended("SYSFLAGS", told.status or WsgStatus.CMD_FORMAT_ERROR, "ACK")
         word = int(told.values[0])
         if name == "SYSFLAGS":
-            return GclAssignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
-        return GclAssignment(name, word >> int(name[9:-1]) & 1)
+            return gcl.GclAssignment(name, tuple(word >> bit & 1 for bit in range(FLAGS)))
+        return gcl.GclAssignment(name, word >> int(name[9:-1]) & 1)
 
-    def _reading(self, now_s: float, name: str) -> GclLine:
+    def _reading(self, now_s: float, name: str) -> gcl.GclLine:
         command = READINGS[name]
         values = () if command is WsgCommand.TEMPERATURE else (0, 0)
         told = self._ask(now_s, WsgRequest(command, values))
         return self._value(name, told, int if name == "GRIPSTATE" else float)
 
-    def _value(self, name: str, told: WsgReply, read: Callable[[Number], float]) -> GclLine:
+    def _value(self, name: str, told: WsgReply, read: Callable[[Number], float]) -> gcl.GclLine:
         if not told.values:
             return self._ended(name.partition("[")[0], told.status, "ACK")
-        return GclAssignment(name, read(told.values[0]))
+        return gcl.GclAssignment(name, read(told.values[0]))
 
-    def _move(self, now_s: float, name: str, arguments: tuple[Scalar, ...]) -> list[GclLine]:
+    def _move(
+        self, now_s: float, name: str, arguments: tuple[gcl.Scalar, ...]
+    ) -> list[gcl.GclLine]:
         numbers = [float(value) for value in arguments if not isinstance(value, str)]
         least, most = MOTIONS[name]
         if len(numbers) != len(arguments) or not least <= len(numbers) <= most:
@@ -558,7 +551,7 @@ class EmulatedGcl:
         self._acknowledged_s = now_s
         status = self._ask(now_s, request).status
         if status == WsgStatus.CMD_PENDING:
-            return [GclAnswer("ACK", name)]
+            return [gcl.GclAnswer("ACK", name)]
         return [self._ended(name, status, "ACK")]
 
     def _request(self, name: str, numbers: list[float]) -> WsgRequest:
@@ -594,15 +587,15 @@ class EmulatedGcl:
                 self._waiting.append((at_s, self._ended(name, reply.status, "FIN")))
         return found
 
-    def _ended(self, name: str, status: int, good: str) -> GclLine:
+    def _ended(self, name: str, status: int, good: str) -> gcl.GclLine:
         if status == WsgStatus.SUCCESS:
-            return GclAnswer(good, name)
+            return gcl.GclAnswer(good, name)
         text = WsgStatus(status).name.lower().replace("_", " ") if self._verbose else ""
         # A name as long as a line leaves no space for the rest of the answer.
-        return GclError(name[:LONGEST_NAME], int(status), text)
+        return gcl.GclError(name[:LONGEST_NAME], int(status), text)
 
 
-def _read(content: bytes) -> GclLine | UnknownLine:
+def _read(content: bytes) -> gcl.GclLine | UnknownLine:
     """Return a line; an invalid one with its name if possible, else raise."""
     try:
         return gcl.decode(content)

@@ -203,10 +203,6 @@ class EmulatedScene:
         """Return the ground truth."""
         return self.world.truth(animate=animate)
 
-    def driver_observations(self) -> DriverObservations:
-        """Return the driver behaviour observed so far."""
-        return self.monitor.observations()
-
     def command_travel(self, since_s: float) -> tuple[float, float, float]:
         """Return ``command_travel`` of the arm since a monotonic time."""
         return command_travel(list(self._commands), since_s)

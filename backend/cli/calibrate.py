@@ -65,18 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--last", action="store_true", help="only show the last check")
         parser.set_defaults(what="day", runs=None, limit=None, accept=False)
         return
-    add(
-        "what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
-        "'risk': bound the unsafe releases of a laboratory from its trials",
-    )  # fmt: skip
-    add(
-        "runs", nargs="?", type=Path, metavar="DATASET",
-        help="of 'risk': folder of recorded runs (default: the data folder's)",
-    )  # fmt: skip
-    add(
-        "--limit", type=float, metavar="SHARE", help="of 'risk': largest bound of a certificate "
-        "(default: 0.05)",
-    )  # fmt: skip
+    add("what", choices=(*CALIBRATION_NAMES, "status", RISK), help="what to measure; 'status'; or "
+        "'risk': bound the unsafe releases of a laboratory from its trials")  # fmt: skip
+    add("runs", nargs="?", type=Path, metavar="DATASET",
+        help="of 'risk': folder of recorded runs (default: the data folder's)")  # fmt: skip
+    add("--limit", type=float, metavar="SHARE",
+        help="of 'risk': largest bound of a certificate (default: 0.05)")  # fmt: skip
     add("--accept", action="store_true", help="store the result if it is acceptable")
 
 

@@ -54,10 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--check-origin", action="store_true", help="probe the four edges after every mounting")
     add("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
     add("--person", help="who collects (default: the account's name)")
-    add(
-        "--resume", nargs="?", const="newest", metavar="CAMPAIGN",
-        help="resume the newest campaign, or the named one, with its plan",
-    )  # fmt: skip
+    add("--resume", nargs="?", const="newest", metavar="CAMPAIGN",
+        help="resume the newest campaign, or the named one, with its plan")  # fmt: skip
     connection.add_bench_arguments(parser)
     add("--runs", metavar="DIR", help="folder for journals (default: data folder)")
 

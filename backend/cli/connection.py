@@ -41,27 +41,16 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help=f"with a lab file: share of every speed in air (default: {START_OVERRIDE})",
     )
-    add(
-        "--emulated",
-        action="store_true",
-        help="through real drivers and wires to emulated devices, in real time",
-    )
+    add("--emulated", action="store_true",
+        help="through real drivers and wires to emulated devices, in real time")  # fmt: skip
     add("--preset", help="noise preset: mixed, quiet, hard, off, realistic, bench-v1, bench-v2")
-    add(
-        "--inject",
-        action="append",
-        default=[],
-        metavar="FAULT",
-        help="scripted fault such as tactile_left:freeze@3.0 (may be given several times)",
-    )
+    add("--inject", action="append", default=[], metavar="FAULT", help="scripted fault such as "
+        "tactile_left:freeze@3.0 (may be given several times)")  # fmt: skip
     add("--faults", type=Path, metavar="FILE", help="with --emulated: fault plan (TOML)")
     add("--pieces", metavar="DIR", help="folder with further piece files")
-    add(
-        "--notify",
-        metavar="COMMAND",
+    add("--notify", metavar="COMMAND",
         help="call a person on a fault, on a question and at the end: the command gets a title and "
-        "a text as its last arguments (for example notify-send)",
-    )
+        "a text as its last arguments (for example notify-send)")  # fmt: skip
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, bottom: str, of_bottom: str) -> None:

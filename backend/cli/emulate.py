@@ -47,33 +47,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--port", type=_port, help="port (default: a free one)")
     add("--tty", type=_absolute, metavar="LINK", help="link to the serial port of a wrist sensor")
     add("--faults", type=Path, metavar="FILE", help="fault plan (TOML)")
-    add(
-        "--load",
-        type=_wrench,
-        metavar="Fx,Fy,Fz,Tx,Ty,Tz",
-        help="wrench on a wrist sensor, N and N·m (default: a swaying gripper)",
-    )
+    add("--load", type=_wrench, metavar="Fx,Fy,Fz,Tx,Ty,Tz",
+        help="wrench on a wrist sensor, N and N·m (default: a swaying gripper)")  # fmt: skip
     add("--part", type=float, default=20.0, metavar="MM", help="piece between the jaws; 0: none")
     add("--text", action="store_true", help="a gripper with its text protocol")
     add("--folder", type=_absolute, metavar="DIR", help="folder of the emulated camera")
     add("--finger", choices=core.FINGERS, default="left", help="which camera")
     add("--serial", default=SERIAL, help="number of the camera")
     add("--film", type=Path, metavar="FILE", help="video or picture that the camera sees")
-    add(
-        "--lab-file",
-        type=Path,
-        metavar="FILE",
-        help="of a bench: write the lab file that leads to it; see 'touchdown app --bench'",
-    )
+    add("--lab-file", type=Path, metavar="FILE", help="of a bench: write the lab file that leads "
+        "to it; see 'touchdown app --bench'")  # fmt: skip
     add("--piece", default="pot", help="of a bench: the grasped piece")
     add("--bottom", default="short", help="of a bench: the bottom")
     add("--preset", default="mixed", help="of a bench: noise preset")
     add("--seed", type=int, default=1, help="of a bench")
-    add(
-        "--jig",
-        action="store_true",
-        help="of a bench: with an operator who hands the piece over from a jig",
-    )
+    add("--jig", action="store_true",
+        help="of a bench: with an operator who hands the piece over from a jig")  # fmt: skip
     add(
         "--for", type=float, dest="for_s", metavar="S", help="end after this time (default: Ctrl-C)"
     )
@@ -137,7 +126,7 @@ def _serve(
             world.close()
         emulation.close()
     front = emulation.fronts[0]
-    seen = None if world is None else world.driver_observations()
+    seen = None if world is None else world.monitor.observations()
     if seen is not None:
         screen.say(f"Recorded by the devices: {seen}.")
     screen.result({

@@ -22,20 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("model", type=Path, help="model file (.safetensors)")
     add("data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote")
-    add(
-        "--labels", choices=("approved", "submitted", "drafts"), default="approved",
-        help="which labels of a dataset count",
-    )  # fmt: skip
-    add(
-        "--delta", type=float, default=StabilitySettings().delta,
-        help="a point supports above this probability",
-    )  # fmt: skip
+    add("--labels", choices=("approved", "submitted", "drafts"), default="approved",
+        help="which labels of a dataset count")  # fmt: skip
+    add("--delta", type=float, default=StabilitySettings().delta,
+        help="a point supports above this probability")  # fmt: skip
     add("--pieces", type=Path, metavar="DIR", help="folder with further piece files")
-    add(
-        "--calibrate", action="store_true", help="fit temperature, bias and prior of the strategy "
+    add("--calibrate", action="store_true", help="fit temperature, bias and prior of the strategy "
         "paper-calibrated to these episodes and store them with the model; the mountings should "
-        "not be those of the training",
-    )  # fmt: skip
+        "not be those of the training")  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -12,33 +12,24 @@ from touchdown.backend.runs import dataset_folder
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("format", choices=EXPORTS, help="what to write")
-    parser.add_argument("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
-    parser.add_argument("--out", metavar="DIR", required=True, help="new folder to write")
+    add = parser.add_argument
+    add("format", choices=EXPORTS, help="what to write")
+    add("--dataset", metavar="DIR", help="dataset (default: in the data folder)")
+    add("--out", metavar="DIR", required=True, help="new folder to write")
     for name in ("piece", "bottom", "series", "campaign"):
-        parser.add_argument(f"--{name}", help=f"only this {name}")
-    parser.add_argument(
-        "--states", default="approved", metavar="S,S",
-        help="label states: approved, submitted, draft",
-    )  # fmt: skip
-    parser.add_argument(
-        "--video", choices=("sample", "all", "none"),
-        help="pictures of 20 episodes, all or none (default: sample for lerobot, else none)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--held-out", type=float, default=0.2, metavar="SHARE",
-        help="held-out share, in whole series or mountings",
-    )  # fmt: skip
-    parser.add_argument(
-        "--state-with", default="", metavar="S,S",
+        add(f"--{name}", help=f"only this {name}")
+    add("--states", default="approved", metavar="S,S",
+        help="label states: approved, submitted, draft")  # fmt: skip
+    add("--video", choices=("sample", "all", "none"), help="pictures of 20 episodes, all or none "
+        "(default: sample for lerobot, else none)")  # fmt: skip
+    add("--held-out", type=float, default=0.2, metavar="SHARE",
+        help="held-out share, in whole series or mountings")  # fmt: skip
+    add("--state-with", default="", metavar="S,S",
         help="lerobot: wrench, markers or both in observation.state besides the pose; followed by "
-        "environment_state in that feature instead",
-    )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, help="which series are held out")
-    parser.add_argument(
-        "--divide-series", action="store_true",
-        help="split a pair with a single series by grips; noted in the manifest",
-    )  # fmt: skip
+        "environment_state in that feature instead")  # fmt: skip
+    add("--seed", type=int, default=0, help="which series are held out")
+    add("--divide-series", action="store_true",
+        help="split a pair with a single series by grips; noted in the manifest")  # fmt: skip
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

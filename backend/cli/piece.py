@@ -19,34 +19,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "source", nargs="?", help="add: mesh (STL, OBJ, PLY, OFF) or outline (SVG, DXF); show: name"
     )
-    add(
-        "--face",
-        choices=get_args(geometry.PieceEnd),
-        help="side of the mesh that is the contact face (default: bottom; of a bottom: top)",
-    )
-    add(
-        "--role",
-        choices=get_args(geometry.PieceRole),
-        default="top",
-        help="top: is grasped and placed; bottom: is stacked upon; both",
-    )
-    add(
-        "--units",
-        choices=tuple(geometry.UNITS_MM),
-        help="unit of the file (default: the one named in it, mm)",
-    )
+    add("--face", choices=get_args(geometry.PieceEnd), help="side of the mesh that is the contact "
+        "face (default: bottom; of a bottom: top)")  # fmt: skip
+    add("--role", choices=get_args(geometry.PieceRole), default="top",
+        help="top: is grasped and placed; bottom: is stacked upon; both")  # fmt: skip
+    add("--units", choices=tuple(geometry.UNITS_MM),
+        help="unit of the file (default: the one named in it, mm)")  # fmt: skip
     add("--density", type=float, metavar="G_CM3", help="uniform density")
     add("--mass", type=float, metavar="G", help="mass, instead of a density")
     add("--height", type=float, metavar="MM", help="height over a drawn outline")
-    add(
-        "--grip", type=float, metavar="MM",
-        help="height of the grip above the face (default: 0.7 of the height)",
-    )  # fmt: skip
-    add(
-        "--com", choices=get_args(geometry.CentreOfMass),
+    add("--grip", type=float, metavar="MM",
+        help="height of the grip above the face (default: 0.7 of the height)")  # fmt: skip
+    add("--com", choices=get_args(geometry.CentreOfMass),
         help="centre of mass: uniform density, or unknown and weighed by each run (default: "
-        "uniform, but unknown for an outline with --mass)",
-    )  # fmt: skip
+        "uniform, but unknown for an outline with --mass)")  # fmt: skip
     add("--name", help="name of the piece (default: that of the file)")
     add("--title", default="", help="title (default: from the name)")
     add("--out", type=Path, metavar="FOLDER", help="folder (default: pieces in the data folder)")

@@ -32,11 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1, bench-v2")
     add("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
     add("--pieces", metavar="DIR", help="folder with further piece files")
-    add(
-        "--start", metavar="TIME",
+    add("--start", metavar="TIME",
         help="time of the first episode, such as 2026-01-31T12:00:00+01:00 (default: now); the "
-        "same seed and start give the same files, and continue an interrupted call",
-    )  # fmt: skip
+        "same seed and start give the same files, and continue an interrupted call")  # fmt: skip
     add_executor_arguments(parser, workers=2)
 
 

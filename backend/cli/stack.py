@@ -44,24 +44,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     known = "checkpoint (default: the one in use); the networks of fused decide without it"
     add("--model", metavar="FILE", help=known)
     add("--method", type=Path, metavar="FILE", help="settings of the method (see 'settings')")
-    add(
-        "--mode",
-        choices=("auto", "approve", "step"),
-        help="ask before a move (default: auto when simulated, approve on devices)",
-    )
-    add(
-        "--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
-        help="on devices: centre of the bottom in the frame of the arm, mm (default: 0 0)",
-    )  # fmt: skip
+    add("--mode", choices=("auto", "approve", "step"),
+        help="ask before a move (default: auto when simulated, approve on devices)")  # fmt: skip
+    add("--origin", type=float, nargs=2, default=(0.0, 0.0), metavar=("X", "Y"),
+        help="on devices: centre of the bottom in the frame of the arm, mm (default: "
+        "0 0)")  # fmt: skip
     add("--reset-guard", metavar="REASON", help="of fused: restart the comparison of the signals")
-    add(
-        "--weigh", action="store_true",
-        help="weigh the piece in six poses first, and judge by its measured centre of mass",
-    )  # fmt: skip
-    add(
-        "--staged", action="store_true",
-        help="open the jaws in held steps, and close them if the piece begins to turn",
-    )  # fmt: skip
+    add("--weigh", action="store_true", help="weigh the piece in six poses first, and judge by its "
+        "measured centre of mass")  # fmt: skip
+    add("--staged", action="store_true",
+        help="open the jaws in held steps, and close them if the piece begins to turn")  # fmt: skip
     connection.add_bench_arguments(parser)
     add("--live", nargs="?", const="127.0.0.1:8765", metavar="HOST:PORT",
         help="serve streams and events to Foxglove (127.0.0.1:8765)")  # fmt: skip

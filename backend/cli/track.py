@@ -38,18 +38,12 @@ _REST_FIX = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("file", type=Path, help="image, video or folder of images")
-    parser.add_argument(
-        "--reference", type=Path, help="rest images that displacements count from (default: first)"
-    )
-    parser.add_argument(
-        "--template",
-        type=Path,
-        metavar="FILE",
-        help="no-contact pictures of the same sensor that the reference is checked against "
-        "(default: the large-dot gel that ships)",
-    )
-    parser.add_argument("--overlay", type=Path, help="write a video with the markers drawn in")
+    add = parser.add_argument
+    add("file", type=Path, help="image, video or folder of images")
+    add("--reference", type=Path, help="rest images that displacements count from (default: first)")
+    add("--template", type=Path, metavar="FILE", help="no-contact pictures of the same sensor that "
+        "the reference is checked against (default: the large-dot gel that ships)")  # fmt: skip
+    add("--overlay", type=Path, help="write a video with the markers drawn in")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

@@ -33,56 +33,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", type=Path, help="a dataset, or the folder that 'touchdown simulate --out' wrote")
     add("--piece", help="grasped piece (default: the only one in the data)")
-    add(
-        "--labels", choices=("approved", "submitted", "drafts"), default="approved",
+    add("--labels", choices=("approved", "submitted", "drafts"), default="approved",
         help="which labels of a dataset count: approved ones; also those that wait for review; "
-        "also those measured by a simulated bench",
-    )  # fmt: skip
-    add(
-        "--divide-series", action="store_true",
-        help="hold out whole grips where there are fewer than 30 mountings; the figures are then "
-        "too good, because both sides share the errors of a mounting (default: whole series)",
-    )  # fmt: skip
-    add(
-        "--from", type=Path, dest="pretrained", metavar="CHECKPOINT",
-        help="model file to fine-tune; it sets sizes, modality and normalisation",
-    )  # fmt: skip
+        "also those measured by a simulated bench")  # fmt: skip
+    add("--divide-series", action="store_true", help="hold out whole grips where there are fewer "
+        "than 30 mountings; the figures are then too good, because both sides share the errors of "
+        "a mounting (default: whole series)")  # fmt: skip
+    add("--from", type=Path, dest="pretrained", metavar="CHECKPOINT",
+        help="model file to fine-tune; it sets sizes, modality and normalisation")  # fmt: skip
     add("--mix", type=Path, metavar="DATA", help="data of which episodes join the training side")
     add("--mix-share", type=float, default=0.5, help="its share of that side")
-    add(
-        "--modality", choices=("FT", "Tac", "FT+Tac"),
-        help="inputs of the model: wrench, markers or both (default: those of --from, else both)",
-    )  # fmt: skip
+    add("--modality", choices=("FT", "Tac", "FT+Tac"), help="inputs of the model: wrench, markers "
+        "or both (default: those of --from, else both)")  # fmt: skip
     add("--epochs", type=int, default=usual.epochs, help="epochs; the best weights are kept")
     add("--batch", type=int, default=usual.batch, help="episodes a step")
-    add(
-        "--optimiser", choices=("Adam", "Muon"), default=usual.optimiser,
-        help="Muon needs fewer epochs, for example with --learning-rate 3e-3 --epochs 8",
-    )  # fmt: skip
+    add("--optimiser", choices=("Adam", "Muon"), default=usual.optimiser,
+        help="Muon needs fewer epochs, for example with --learning-rate 3e-3 "
+        "--epochs 8")  # fmt: skip
     add("--learning-rate", type=float, help="step of the optimiser (default: 1e-3, --from: 1e-4)")
     add("--seed", type=int, default=usual.seed, help="of initial weights, order and split")
-    add(
-        "--precision", choices=("float32", "bfloat16"), default=usual.precision,
+    add("--precision", choices=("float32", "bfloat16"), default=usual.precision,
         help="of the products of a step; bfloat16 halves the time of an epoch on processors that "
-        "support it, with a higher loss, and is refused on others",
-    )  # fmt: skip
-    add(
-        "--threads", type=int,
-        help="processor threads, at most the free cores; the number changes the last digits of the "
-        "result (default: 2 where there are two cores)",
-    )  # fmt: skip
+        "support it, with a higher loss, and is refused on others")  # fmt: skip
+    add("--threads", type=int, help="processor threads, at most the free cores; the number changes "
+        "the last digits of the result (default: 2 where there are two cores)")  # fmt: skip
     add_device(parser)
-    add(
-        "--out",
-        type=Path,
-        help="model file (default: ./<piece>.safetensors, or <checkpoint>-tuned)",
-    )
+    add("--out", type=Path,
+        help="model file (default: ./<piece>.safetensors, or <checkpoint>-tuned)")  # fmt: skip
     add("--resume", action="store_true", help="resume an interrupted training of the same model")
-    add(
-        "--sweep", action="append", default=[], metavar="NAME=VALUE,...", help="train a model for "
-        "each value of a setting, such as learning-rate=1e-3,3e-4, and for each combination if "
-        "given again; --out is the one of highest validation IoU",
-    )  # fmt: skip
+    add("--sweep", action="append", default=[], metavar="NAME=VALUE,...",
+        help="train a model for each value of a setting, such as learning-rate=1e-3,3e-4, and for "
+        "each combination if given again; --out is the one of highest validation IoU")  # fmt: skip
     add_executor_arguments(parser)
 
 

@@ -22,20 +22,15 @@ Json: TypeAlias = dict[str, Any]
 
 def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of bench, models and jobs."""
-    parser.add_argument(
-        "--out", type=Path, default=Path("output/experiment"), metavar="DIR",
-        help="folder of page, JSON and jobs; resumes there",
-    )  # fmt: skip
-    parser.add_argument("--preset", default="bench-v1", help="preset of the bench")
-    parser.add_argument("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
-    parser.add_argument("--pieces", default="mushroom,barrel,pot", help="separated by commas")
-    parser.add_argument(
-        "--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)"
-    )
-    parser.add_argument(
-        "--keep-models", type=Path, metavar="DIR", help="write the models that --full trained, in "
-        "half precision",
-    )  # fmt: skip
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("output/experiment"), metavar="DIR",
+        help="folder of page, JSON and jobs; resumes there")  # fmt: skip
+    add("--preset", default="bench-v1", help="preset of the bench")
+    add("--bench", type=Path, metavar="FILE", help="settings of the bench (TOML)")
+    add("--pieces", default="mushroom,barrel,pot", help="separated by commas")
+    add("--models", type=Path, metavar="DIR", help="models for --quick (default: those that ship)")
+    add("--keep-models", type=Path, metavar="DIR",
+        help="write the models that --full trained, in half precision")  # fmt: skip
     add_device(parser)
     add_executor_arguments(parser)
 

@@ -22,19 +22,18 @@ TEST_SEED_OFFSET = 1_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("--pieces", default="pot,mushroom,barrel", help="separated by commas")
-    parser.add_argument(
-        "--pieces-dir", type=Path, metavar="DIR", help="folder with further piece files"
-    )
-    parser.add_argument("--out", type=Path, default=Path("resources/models"), metavar="DIR")
-    parser.add_argument("--episodes", type=int, default=2000, help="per training bottom")
-    parser.add_argument("--test-episodes", type=int, default=400, help="per unseen bottom")
-    parser.add_argument("--epochs", type=int, help="default: that of 'touchdown train'")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--probes-per-grip", type=int, default=1)
-    parser.add_argument("--grips-per-mounting", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
-    parser.add_argument("--threads", type=int, default=1, help="processor threads that train")
+    add = parser.add_argument
+    add("--pieces", default="pot,mushroom,barrel", help="separated by commas")
+    add("--pieces-dir", type=Path, metavar="DIR", help="folder with further piece files")
+    add("--out", type=Path, default=Path("resources/models"), metavar="DIR")
+    add("--episodes", type=int, default=2000, help="per training bottom")
+    add("--test-episodes", type=int, default=400, help="per unseen bottom")
+    add("--epochs", type=int, help="default: that of 'touchdown train'")
+    add("--seed", type=int, default=1)
+    add("--probes-per-grip", type=int, default=1)
+    add("--grips-per-mounting", type=int, default=1)
+    add("--workers", type=int, default=2, help="processes that simulate")
+    add("--threads", type=int, default=1, help="processor threads that train")
 
 
 def run(args: argparse.Namespace, screen: VerbOutput) -> int:

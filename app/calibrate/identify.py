@@ -69,7 +69,8 @@ class IdentifySheet(BenchSheet):
         row = hbox(label("Dataset"), (self.dataset, 1), self.choose)
         texts = (self.verdict, self.note, (self.table, 1))
         foot = (self.begin, self.cancel, self.accept_it, self.report)
-        about = label(TITLE, "head"), label(ABOUT, "muted", wrap=True)
+        self.about = label(ABOUT, "muted", wrap=True)
+        about = label(TITLE, "head"), self.about
         self.arrange(*about, row, self.progress, *texts, foot=foot, spacing=10)
         self.note.hide()
         self.resize_to_em(44, 34)
@@ -112,7 +113,7 @@ class IdentifySheet(BenchSheet):
             cells.setData(cells.index(row, 0), key, tip)
         self._page = found.get("report", "")
         self.report.setEnabled(bool(found))
-        self.note.hide()
+        self._show_note("\n".join(found.get("verdicts", ())))
         self._show_buttons(can_accept=bool(found.get("accepted")))
 
     def _start(self) -> None:
@@ -120,19 +121,19 @@ class IdentifySheet(BenchSheet):
         self._draft, self._error = data_folder() / "identified" / dataset.name / "bench.toml", ""
         words = ("-m", "touchdown", "identify", str(dataset), "--out", str(self._draft), "--json")
         self.verdict.setText("")
+        self._show_note("")
         self._child.start(sys.executable, words)
         self.progress.setRange(0, 0)
         self._show_buttons(can_accept=False)
 
     def _accept(self) -> None:
-        self.note.show()
         kept = data_folder() / "benches" / f"{datetime.now():%Y%m%d-%H%M%S}.toml"
         try:
             write_atomically(kept, self._draft.read_bytes())
         except OSError as error:
-            self.note.setText(tr("The bench file cannot be kept: {}", error))
+            self._show_note(tr("The bench file cannot be kept: {}", error))
             return
-        self.note.setText(tr("Written: {}. Bench in the rail opens it.", kept))
+        self._show_note(tr("Written: {}. Bench in the rail opens it.", kept))
         self.accept_it.setEnabled(False)
         self.written.emit(kept)
 
@@ -146,6 +147,12 @@ class IdentifySheet(BenchSheet):
     def _read(self) -> None:
         for line in bytes(self._child.readAllStandardError().data()).decode().splitlines():
             self.show_line(line)
+
+    def _show_note(self, text: str) -> None:
+        """Show ``text`` below the verdict, in place of the explanation."""
+        self.note.setText(text)
+        self.note.setVisible(bool(text))
+        self.about.setVisible(not text)
 
     def _show_buttons(self, *, can_accept: bool) -> None:
         running = self._is_running()

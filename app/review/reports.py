@@ -19,7 +19,7 @@ from PySide6.QtWidgets import QMenu, QWidget
 from touchdown.app.review.exports import open_in_viewer
 from touchdown.app.shell import SaveWorker, WorkspaceContext, ask_path, error_card
 from touchdown.backend import experiments
-from touchdown.backend.core import InputError, RunStarted, write_atomically
+from touchdown.backend.core import InputError, RunStarted, data_folder, write_atomically
 from touchdown.widgets.base import FlowLayout, Theme, Tokens, label, tr
 from touchdown.widgets.views import PictureCard, ReportCell, ReportGrid, ReportSheet
 
@@ -86,10 +86,12 @@ class ReportsPresenter:
         self._drawing = 0
 
     def offer(self) -> None:
-        """List the reports opened last, the one of this folder, and those of the program."""
+        """List the reports opened last, of this folder, identifications, and of the program."""
         menu = self.menu = QMenu(self._window)
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        near = [*self._opened, *sorted(USUAL.glob(TABLES)), *sorted(SHIPPED.glob(TABLES))]
+        pages = sorted((data_folder() / "identified").rglob("*.html"))
+        near = [*self._opened, *sorted(USUAL.glob(TABLES))]
+        near += [*(page.with_suffix(".json") for page in pages), *sorted(SHIPPED.glob(TABLES))]
         for file in dict.fromkeys(path.resolve() for path in near):
             menu.addAction(f"{file.parent.name}/{file.name}", partial(self.open, file))
         menu.addAction(tr("Other file\N{HORIZONTAL ELLIPSIS}"), self.ask)

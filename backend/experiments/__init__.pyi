@@ -34,7 +34,6 @@ from .fusion import WEIGHTS as WEIGHTS
 from .fusion import FusionRecipe as FusionRecipe
 from .fusion import adopt_tuning as adopt_tuning
 from .fusion import ready_sequences as ready_sequences
-from .identification_report import identification_page as identification_page
 from .identification_report import identify_dataset as identify_dataset
 from .job_kinds import KINDS as KINDS
 from .models import adopt_models as adopt_models

@@ -234,11 +234,13 @@ def curves_chart(
     units: tuple[str, str],
     *,
     log: bool = False,
+    points: bool = False,
 ) -> str:
     """Return named ``curves`` (n,) over ``x`` (n,), on logarithmic axes if ``log``.
 
-    Lines mark zero on linear axes. Colours go by their order: blue, orange, violet. ``units``: of
-    ``x`` and of the curves.
+    With ``points`` no lines join the values, and curves (3, n) have the ends of intervals. Lines
+    mark zero on linear axes. Colours go by their order: blue, orange, violet. ``units``: of ``x``
+    and of the curves.
     """
 
     def scaled(values: FloatArray) -> FloatArray:
@@ -249,25 +251,33 @@ def curves_chart(
     low = min(float(np.nanmin(h)) for h in heights.values())
     high = max(float(np.nanmax(h)) for h in heights.values())
     width, height = max(float(np.ptp(across)), 1e-12), max(high - low, 1e-12)
+    top = PAD + 11 * (len(heights) - 1)  # below the names
 
     def at(value: float) -> float:
-        return _unit(1.0 - (min(max(value, low), high) - low) / height)
+        return SIDE - PAD - (min(max(value, low), high) - low) / height * (SIDE - PAD - top)
 
     lines = []
     places = [_unit((a - across[0]) / width) for a in across]
     looks = ((BLUE, "none"), (ORANGE, "5 3"), (VIOLET, "2 3"))
     for k, ((name, values), (colour, dash)) in enumerate(zip(heights.items(), looks, strict=False)):
-        known = [(a, v) for a, v in zip(places, values, strict=True) if v == v]
-        points = " ".join(f"{a:.1f},{at(v):.1f}" for a, v in known)
+        wide = np.broadcast_to(values, (3, len(places))).T
+        known = [(a, *map(at, v)) for a, v in zip(places, wide, strict=True) if v[0] == v[0]]
+        path = " ".join(f"{a:.1f},{v:.1f}" for a, v, *_ in known)
+        stroke = "none" if points else colour
+        lines += [
+            f'<path d="M{a:.1f} {b:.1f}V{c:.1f}" stroke="{colour}"/>'
+            f'<circle cx="{a:.1f}" cy="{v:.1f}" r="2" fill="{colour}"/>'
+            for a, v, b, c in known if points
+        ]  # fmt: skip
         lines.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-dasharray="{dash}"/>'
+            f'<polyline points="{path}" fill="none" stroke="{stroke}" stroke-dasharray="{dash}"/>'
             f'<text x="{PAD}" y="{28 + 11 * k}" font-size="9" fill="{colour}">{escape(name)}</text>'
         )
-    ways = f"M{PAD} {PAD}V{SIDE - PAD}H{SIDE - PAD}"
+    ways = f"M{PAD} {top}V{SIDE - PAD}H{SIDE - PAD}"
     if low < 0.0 < high and not log:
         ways += f"M{PAD} {at(0.0):.1f}H{SIDE - PAD}"
     if across[0] < 0.0 < across[-1] and not log:
-        ways += f"M{_unit(-across[0] / width):.1f} {PAD}V{SIDE - PAD}"
+        ways += f"M{_unit(-across[0] / width):.1f} {top}V{SIDE - PAD}"
     axis = f'<path d="{ways}" stroke="{FAINT}" fill="none"/>'
     ends = [10.0**v if log else v for v in (across[0], across[-1], low, high)]
     spans = [

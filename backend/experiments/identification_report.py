@@ -1,11 +1,13 @@
 """Identification of a dataset as a job, and its report page.
 
-The page shows the decision, the parameters, the replay of held-out presses and the noise.
+The page shows the decision, verdict, parameters and figures of each stage, and the replay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,7 @@ from touchdown.backend.identification import (
 from touchdown.backend.jobs import JobContext, JobSpec
 
 STAGES = {1: "Sensors at rest", 2: "Arm and grasp", 3: "Gel", 4: "Contact"}
+BARS = "Vertical lines are 95 % intervals where these are larger than the point."
 MEASURED = "Recordings of devices: these figures hold for this set-up"
 
 
@@ -62,24 +65,20 @@ def identify_dataset(
         found = identify_bench(recordings, nominal, library, Path(p["stages"]), tell)
     except InputError as error:
         return {"refused": [error.what, error.where, error.fix]}
-    page = identification_page(found, p["dataset"])
-    write_atomically(out.with_suffix(".html"), page.encode())
-    write_identification(found, out, p["dataset"])
+    report = identification_report(found, p["dataset"])
+    write_atomically(out.with_suffix(".html"), report_page(report).encode())
+    write_identification(found, out, p["dataset"], asdict(report))
     return {
         "accepted": found.gate.accepted, "reason": found.reason, "share": found.gate.share,
+        "verdicts": [f"{k} {title}. {found.verdict(k)}" for k, title in STAGES.items()],
         "used": list(found.used), "use": {e.key: found.use(e) for e in found.estimates},
         "estimates": {e.key: [e.value, e.sigma, e.unit] for e in found.estimates},
         "names": {e.key: e.name for e in found.estimates},
     }  # fmt: skip
 
 
-def identification_page(found: Identification, source: str) -> str:
-    """Return the self-contained HTML page of an identification of the dataset ``source``."""
-    return report_page(identification_report(found, source))
-
-
 def identification_report(found: Identification, source: str) -> Report:
-    """Return the report of an identification."""
+    """Return the report of an identification of the dataset ``source``."""
     about = (
         found.reason,
         f"{found.presses} presses in {found.grips} grippings of {source}. Mean square of the "
@@ -98,14 +97,11 @@ def _sections(found: Identification) -> Iterator[ReportSection]:
         parts: list[ReportTable | PictureGallery] = [_parameters(rows, found)] if rows else []
         if stage == 1 and found.facts:
             parts.append(ReportTable.of_texts("Further figures", ("figure", "value"), found.facts))
-            pictures = []
-            for s in found.spectra:
-                units = ("Hz", f"{s.unit}²/Hz")
-                chart = curves_chart(s.name, s.f_hz, {"density": s.density}, units, log=True)
-                pictures.append(ReportPicture(chart))
-            parts.append(PictureGallery("Noise spectra at rest", tuple(pictures)))
-        text = () if rows else ("Not recorded; see the last section.",)
-        yield ReportSection(f"{stage}. {title}", text, tuple(parts))
+        draw = partial(curves_chart, log=stage == 1, points=stage > 1)
+        own = [c for c in found.charts if c.stage == stage]
+        charts = tuple(ReportPicture(draw(c.title, c.x, c.curves, c.units)) for c in own)
+        parts += [PictureGallery("", charts, BARS if stage > 2 else "")] if charts else []
+        yield ReportSection(f"{stage}. {title}", (found.verdict(stage),), tuple(parts))
     yield ReportSection(
         "Replay of held-out presses", (found.reason,), (_gate(found), _example(found))
     )

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from touchdown.backend.core import InputError, parse_json, read_limited, write_atomically
 from touchdown.backend.experiments import document
 from touchdown.backend.experiments.comparison import comparison_report
@@ -29,6 +31,7 @@ from touchdown.backend.experiments.tables import (
 from touchdown.backend.geometry import TOO_CLOSE_MM
 from touchdown.backend.jobs import JobStore
 
+IDENTIFICATION_FORMAT = "touchdown-identification/1"
 JsonMapping = Mapping[str, Any]
 CELL_KEYS = ("piece", "bottom", "tower", "outline", "strategy")
 
@@ -60,6 +63,12 @@ def _largest(parts: Iterable[JsonMapping], name: str) -> list[JsonMapping]:
 
 def report_of(tables: JsonMapping) -> document.Report:
     """Return the report; raises one of ``CONTENT_ERRORS`` for other content."""
+    if tables["format"] == IDENTIFICATION_FORMAT:
+        report = TypeAdapter(document.Report).validate_python(tables["report"])
+        for part in (part for section in report.sections for part in section.parts):
+            for picture in part.pictures if isinstance(part, document.PictureGallery) else ():
+                document.check_svg(picture.svg)
+        return report
     facts = tables["bench_facts"]
     slipped = facts["slipped"]
     slip = "not measured" if slipped is None else f"{100 * slipped:.0f} %"
@@ -276,9 +285,9 @@ CONTENT_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError)
 
 
 def read_report(file: Path) -> tuple[Json, document.Report]:
-    """Return the content of a ``tables.json`` and its report; raises ``InputError``."""
-    fix = "Name a tables.json, as `touchdown experiment tables` writes it."
-    found = _read(file, (TABLES_FORMAT,), fix)
+    """Return the content of the file of a report and the report; raises ``InputError``."""
+    fix = "Name a tables.json of `touchdown experiment tables`, or the .json of `identify`."
+    found = _read(file, (IDENTIFICATION_FORMAT, TABLES_FORMAT), fix)
     with _checked_content(file, fix):
         return found, report_of(found)
 
@@ -357,7 +366,7 @@ def rewrite_tables(file: Path, compared: Sequence[Path]) -> Path:
     found = dict(read_report(file)[0])
     answers = list(map(read_beyond, compared))
     for path, answer in zip(compared, answers, strict=True):
-        if answer["bench_sha256"] != found["bench_sha256"]:
+        if answer["bench_sha256"] != found.get("bench_sha256"):
             raise InputError("It belongs to another bench.", str(path), f"Leave it out of {file}.")
     if answers:
         found["beyond"] = answers

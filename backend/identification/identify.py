@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,8 @@ from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.identification import sensors, stages
 from touchdown.backend.identification.estimates import (
     CONTACT,
-    GEL,
     OTHER_RECORDINGS,
+    PARAMETERS,
     REST,
     Estimate,
     identifiable,
@@ -49,8 +50,8 @@ class Identification:
         Comparison with the nominal bench on presses that were held out.
     names, correlation
         Names and correlation matrix of the unknowns of the press model.
-    spectra, facts
-        Noise at rest, and further figures of name and text.
+    charts, facts
+        Charts of the stages, and further figures at rest of name and text.
     missing : tuple of (str, str)
         What was not identified, and the recording that would identify it.
     misfit : float
@@ -69,7 +70,7 @@ class Identification:
     gate: stages.Gate
     names: tuple[str, ...]
     correlation: FloatArray
-    spectra: tuple[sensors.Spectrum, ...]
+    charts: tuple[sensors.Chart, ...]
     facts: tuple[tuple[str, str], ...]
     missing: tuple[tuple[str, str], ...]
     misfit: float
@@ -98,6 +99,21 @@ class Identification:
         if one.sharpness >= USEFUL_SHARPNESS:
             return "no, too uncertain"
         return "no, not a setting" if self.gate.accepted else "no, bench refused"
+
+    def verdict(self, stage: int) -> str:
+        """Return in one sentence what a stage adds to the bench file, and what it lacks."""
+        rows = [e for e in self.estimates if e.stage == stage]
+        keys = {key for key, row in PARAMETERS.items() if row[1] == stage}
+        uses = [self.use(e) for e in rows]
+        used = f"Identified: {uses.count('yes')} of {len(rows)} parameters enter the bench file"
+        parts = [used if rows else "Not identified"]
+        parts += [f"{reason}: {count}" for reason in ("not a setting", "bench refused")
+                  if (count := uses.count(f"no, {reason}"))]  # fmt: skip
+        vague = [e.name[0].lower() + e.name[1:] for e in rows if e.sharpness >= USEFUL_SHARPNESS]
+        parts += [f"too uncertain: {', '.join(vague)}"] if vague else []
+        parts += [f"record `touchdown {text.removeprefix('`')}" for names, text in self.missing
+                  if text[0] == "`" and keys.intersection(names.split(", "))]  # fmt: skip
+        return "; ".join(parts) + "."
 
     def ranges(self) -> dict[str, list[float]]:
         """Return the 95 % interval of each parameter in use, as ranges for randomisation."""
@@ -150,9 +166,8 @@ def identify_bench(
     found = store.get(
         "delays", lambda: {k: v.tolist() for k, v in sensors.estimate_delays(gel).items()}
     )
-    delayed, taken = sensors.delay_estimates(
-        {k: np.array(v, dtype=float) for k, v in found.items()}
-    )
+    series = {name: np.array(values, dtype=float) for name, values in found.items()}
+    delayed, taken = sensors.delay_estimates(series)
     presses = sample_presses(gel, taken)
     fitted_rows, held_rows = stages.split_grips(presses)
     held = presses.take(held_rows)
@@ -178,14 +193,33 @@ def identify_bench(
         count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""
         missing.append((", ".join(identifiable(CONTACT)), f"`{CONTACT}`{count}"))
     names, correlation = stages.correlations(mechanics)
+    charts = (*rest.spectra, *_charts(series, mechanics, friction))
     settings, used = identified_settings(nominal, estimates) if gate.accepted else (nominal, ())
-    missing += [(e.key, f"more of `{GEL}`: its uncertainty is {e.sharpness:.0%} of the prior's")
+    more = "more of `{}`: its uncertainty is {:.0%} of the prior's"
+    missing += [(e.key, more.format(PARAMETERS[e.key][2], e.sharpness))
                 for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
     return Identification(
-        settings, nominal, estimates, used, gate, names, correlation, rest.spectra, rest.facts,
+        settings, nominal, estimates, used, gate, names, correlation, charts, rest.facts,
         (*missing, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses), len(presses.grips),
         recordings.simulated, mechanics.converged, mechanics.discrepancy,
     )  # fmt: skip
+
+
+def _charts(
+    delays: dict[str, FloatArray], mechanics: stages.Mechanics, friction: stages.Json
+) -> Iterator[sensors.Chart]:
+    """Yield the charts of stages 2 to 4 that have values."""
+    late = {k.replace("_", " to "): 1e3 * v for k, v in delays.items() if np.isfinite(v).any()}
+    ends = np.array([[0.0], [-1.96], [1.96]])  # of errors of logarithms
+    shear, errors = mechanics.of("shear")
+    pads = np.array(friction["mu"]) * np.exp(ends * np.array(friction["sigma"]))
+    for stage, title, units, curves in (
+        (2, "Delays", ("presses", "ms"), late),
+        (3, "Shear stiffness", ("fitted grippings", "N/mm"), {"": shear * np.exp(ends * errors)}),
+        (4, "Friction of the pads", ("presses that slipped", ""), {"": pads}),
+    ):
+        if count := max((v.shape[-1] for v in curves.values()), default=0):
+            yield sensors.Chart(stage, title, units, 1.0 + np.arange(count), curves)
 
 
 def _rest(recordings: Recordings) -> tuple[sensors.RestResult, list[tuple[str, str]]]:
@@ -252,16 +286,17 @@ def bench_file(found: Identification, source: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_identification(found: Identification, out: Path, source: str) -> Path:
+def write_identification(found: Identification, out: Path, source: str, report: Any = None) -> Path:
     """Write all figures as JSON, then the bench file beside them, if the gate accepted it.
 
-    Returns the path of the JSON file.
+    ``report``: content of the report. Returns the path of the JSON file.
     """
     data = {
-        "format": 1,
+        "format": "touchdown-identification/1",
         "source": source,
         "accepted": found.gate.accepted,
         "reason": found.reason,
+        "verdicts": {stage: found.verdict(stage) for stage in range(1, 5)},
         "estimates": [asdict(one) for one in found.estimates],
         "used": list(found.used),
         "randomisation": found.ranges(),
@@ -274,6 +309,7 @@ def write_identification(found: Identification, out: Path, source: str) -> Path:
         "discrepancy": found.discrepancy,
         "converged": found.converged,
         "missing": [list(pair) for pair in found.missing],
+        "report": report,
     }  # fmt: skip
     path = out.with_suffix(".json")
     write_atomically(path, json.dumps(data, indent=1).encode() + b"\n")

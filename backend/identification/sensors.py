@@ -21,13 +21,18 @@ GRID_SHARE = 0.1  # of the lateness of a picture moves the grid of the next ones
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
-    """Power spectral density (n,) at ``f_hz`` (n,), in the square of ``unit`` per Hz."""
+class Chart:
+    """Chart of a stage: named ``curves`` (n,) over ``x`` (n,), in ``units`` of x and curves.
 
-    name: str
-    unit: str
-    f_hz: FloatArray
-    density: FloatArray
+    Curves of stage 1 are spectral densities, others values of presses or grippings, NaN where
+    unknown. Those of shape (3, n) also have the ends of 95 % intervals.
+    """
+
+    stage: int
+    title: str
+    units: tuple[str, str]
+    x: FloatArray
+    curves: dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +40,7 @@ class RestResult:
     """Figures of a recording at rest. ``facts``: further rows of name and text for the report."""
 
     estimates: tuple[Estimate, ...]
-    spectra: tuple[Spectrum, ...]
+    spectra: tuple[Chart, ...]
     facts: tuple[tuple[str, str], ...]
 
 
@@ -86,7 +91,7 @@ def identify_rest(rest: recordings.RestRecording) -> RestResult:
         estimates.append(estimate(f"wrist.drift_{name}_sqrt_min", walk[0], walk[1]))
         f_hz, density = welch(own, rate_hz, nperseg=min(4096, len(own)), axis=0)
         mean = density[1:-1].mean(axis=1)
-        spectra.append(Spectrum(f"wrist, {unit}", unit, f_hz[1:-1], mean))
+        spectra.append(_spectrum("wrist", unit, f_hz, density))
         peak, ratio = f_hz[1 + int(mean.argmax())], float(mean.max() / np.median(mean))
         facts.append((f"quantisation of the wrist sensor, {unit}", f"{quantum(own):.3g}"))
         facts.append((f"strongest line, {unit}", f"{peak:.1f} Hz, {ratio:.1f} times the floor"))
@@ -126,7 +131,12 @@ def grid_numbers(t_s: FloatArray) -> FloatArray:
     return numbers
 
 
-def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[str, str]], Spectrum]:
+def _spectrum(of: str, unit: str, f_hz: FloatArray, density: FloatArray) -> Chart:
+    curves = {"density": density[1:-1].mean(axis=1)}
+    return Chart(1, f"Noise spectrum, {of}", ("Hz", f"{unit}²/Hz"), f_hz[1:-1], curves)
+
+
+def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[str, str]], Chart]:
     series, gaps, periods, white, lost, dropped, frames = [], [], [], [], [], 0, 0
     for finger in FINGERS:
         own = [[f for f in block.fields if f.finger == finger] for block in blocks]
@@ -166,7 +176,7 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
         estimate("tactile.lost_share", float(np.mean(lost)), float(np.ptp(lost)) / 2 + 2e-4),
     ]
     f_hz, density = welch(series[0], 1.0 / period, nperseg=min(512, len(series[0])), axis=0)
-    spectrum = Spectrum("mean marker, px", "px", f_hz[1:-1], density[1:-1].mean(axis=1))
+    spectrum = _spectrum("mean marker", "px", f_hz, density)
     return estimates, [("frames", f"{frames}, {dropped} dropped")], spectrum
 
 

@@ -105,6 +105,7 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
     sheet = wizard.panels.calibrate.identify
     assert sheet.isVisible()
     assert not sheet.accept_it.isEnabled()
+    assert sheet.about.isVisible()
     sheet.show_line("fit, round 1: 523 of 1,104 ... about 1.5 min left")
     assert sheet.progress.isVisible()
     assert sheet.progress.value() == 523
@@ -122,11 +123,15 @@ def test_identify_shows_progress_verdict_and_keeps_what_is_accepted(wizard, tmp_
                        "wrist.white_n": "Noise of the wrist force",
                        "wrist.rate_hz": "Rate of the wrist sensor"},
              "report": str(tmp_path / "bench.html"),
+             "verdicts": ["1 Sensors at rest. Identified.", "2 Arm and grasp. Identified."],
              "estimates": {"mu_grip": [0.7, 0.01, "1"], "wrist.white_n": [0.1, 0.1, "N"],
                            "wrist.rate_hz": [24351.2, 163.0, "Hz"]},
     }  # fmt: skip
     sheet.show_end(0, json.dumps(found))
     assert sheet.verdict.text() == "Accepted: 30 %."
+    assert sheet.note.text() == "1 Sensors at rest. Identified.\n2 Arm and grasp. Identified."
+    assert sheet.note.isVisible()
+    assert not sheet.about.isVisible()
     assert sheet.table.texts() == [
         ["Friction of the finger pads", "0.7", "0.01", "yes"],
         ["Noise of the wrist force", "0.1 N", "0.1", "no, too uncertain"],

@@ -1,5 +1,7 @@
 """A report of experiments in Review: as the page shows it, and nothing of it blocks the window."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,16 @@ from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 from tests.app.conftest import opened
 from touchdown.app.review import reports
 from touchdown.app.review.reports import recolour_drawing, render_drawing
-from touchdown.backend.experiments.document import INK, reliability_chart
+from touchdown.backend.experiments.document import (
+    INK,
+    PictureGallery,
+    Report,
+    ReportPicture,
+    ReportSection,
+    ReportTable,
+    reliability_chart,
+    report_page,
+)
 from touchdown.backend.experiments.results import read_report
 from touchdown.widgets.base.theme import DARK, LIGHT, Theme, load_resources
 from touchdown.widgets.views.report import PictureCard, ReportGrid, ReportSheet
@@ -137,6 +148,42 @@ def test_reports_are_listed_and_another_file_is_asked_for_beside_the_window(
     (dialog,) = review.page.findChildren(QFileDialog)
     assert dialog.isVisible()
     dialog.reject()
+
+
+def test_identifications_of_the_data_folder_are_listed_and_shown(
+    review, qtbot, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("TOUCHDOWN_DATA", str(tmp_path))
+    picture = ReportPicture(reliability_chart([0.1, 0.9], [0.2, 0.8], "Gel", "n = 3"))
+    made = Report("Identified bench", ("Better.",), (
+        ReportSection("1. Sensors at rest", ("Identified: 2.",), (
+            ReportTable.of_texts("", ("parameter", "value"), [("noise", "0.1")]),
+            PictureGallery("", (picture,)),
+        )),
+    ))  # fmt: skip
+    file = tmp_path / "identified" / "LAB" / "bench.json"
+    file.parent.mkdir(parents=True)
+    content = {"format": "touchdown-identification/1", "report": asdict(made)}
+    file.write_text(json.dumps(content), "utf-8")
+    file.with_suffix(".html").write_text(report_page(made), "utf-8")
+    stage = file.parent / "bench.stages" / "fit.json"
+    stage.parent.mkdir()
+    stage.write_text("{}", "utf-8")
+    review.page.experiments.click()
+    listed = {action.text(): action for action in review.reports.menu.actions()}
+    assert "LAB/bench.json" in listed
+    assert "bench.stages/fit.json" not in listed
+    listed["LAB/bench.json"].trigger()
+    qtbot.waitUntil(lambda: not review.reader.busy, timeout=60_000)
+    assert review.reports.report == made
+    assert review.reports.sheet.parts.item(0).text() == "1. Sensors at rest"
+    cards = review.reports.sheet.room.widget().findChildren(PictureCard)
+    assert [card.picture.pixmap().isNull() for card in cards] == [False]
+    seen = []
+    monkeypatch.setattr(reports, "open_in_viewer", lambda path: seen.append(path) or "Opened")
+    review.reports.sheet.browser.click()
+    qtbot.waitUntil(lambda: len(seen) == 1, timeout=60_000)
+    assert seen == [file.with_suffix(".html")]
 
 
 def test_charts_take_the_colours_of_the_theme():

@@ -4,7 +4,7 @@ import errno
 import json
 import re
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from unittest import mock
 
 import numpy as np
@@ -14,17 +14,19 @@ from touchdown.backend.annotations import NO_LABEL, Dataset, EpisodeContext, Lab
 from touchdown.backend.cli.command_line import main
 from touchdown.backend.config import ProbeSettings, load_simulation
 from touchdown.backend.core import Episode, EpisodeQuality, InputError, MarkerField, Recording
-from touchdown.backend.experiments import identification_page
 from touchdown.backend.experiments import identification_report as report
-from touchdown.backend.experiments.document import SIMULATED, check_svg
+from touchdown.backend.experiments.document import SIMULATED, check_svg, report_page
+from touchdown.backend.experiments.results import read_report
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification import read_recordings
+from touchdown.backend.identification import read_recordings, sensors
 from touchdown.backend.identification.estimates import estimate, mean_estimate, spread_estimate
 from touchdown.backend.identification.fitting import ChannelNoise, FitResult, GlsFit, Layout
 from touchdown.backend.identification.identify import (
     Identification,
+    _charts,
     _rest,
     identified_settings,
+    identify_bench,
     write_identification,
 )
 from touchdown.backend.identification.press_model import (
@@ -44,7 +46,8 @@ from touchdown.backend.identification.recordings import (
     sample_presses,
 )
 from touchdown.backend.identification.sensors import (
-    Spectrum,
+    Chart,
+    RestResult,
     arm_compliance,
     delay_estimates,
     estimate_delays,
@@ -688,9 +691,13 @@ def made_identification(share):
     gate = Gate(np.full((3, 8), 9.0), np.full((3, 8), 2.0), share, 3, 3, 18, series)
     estimates = (estimate("grasp.shear_n_mm", 5.0, 0.2), estimate("wrist.white_n", 0.07, 1e-3))
     settings, used = identified_settings(NOMINAL, estimates)
-    spectra = (Spectrum("wrist, N", "N", np.arange(1.0, 9.0), np.arange(1.0, 9.0)),)
+    noise, pads = {"density": np.arange(1.0, 9.0)}, np.array([[0.8, 0.9], [0.7, 0.8], [0.9, 1.0]])
+    charts = (
+        Chart(1, "Noise spectrum, wrist", ("Hz", "N²/Hz"), np.arange(1.0, 9.0), noise),
+        Chart(4, "Friction", ("presses", ""), np.arange(1.0, 3.0), {"pads": pads}),
+    )
     return Identification(
-        settings, NOMINAL, estimates, used, gate, ("shear",), np.ones((1, 1)), spectra,
+        settings, NOMINAL, estimates, used, gate, ("shear",), np.ones((1, 1)), charts,
         (("frames", "10"),), (("mu", "a drag"),), 1.2, 54, 9, simulated=True, converged=True,
     )  # fmt: skip
 
@@ -703,19 +710,104 @@ def test_the_result_is_a_bench_file_figures_and_a_page(tmp_path):
     assert bench.grasp.shear_n_mm == 5.0
     stored = json.loads(figures.read_text())
     assert stored["discrepancy"] == 0.0
+    assert stored["verdicts"] == {str(stage): found.verdict(stage) for stage in (1, 2, 3, 4)}
     assert stored["accepted"]
     assert stored["randomisation"]["grasp.shear_n_mm"] == pytest.approx([4.608, 5.392], abs=1e-3)
-    page = identification_page(found, "LAB")
-    for text in (found.reason, "grasp.shear_n_mm", "a drag", "Noise spectra", SIMULATED):
+    page = report_page(report.identification_report(found, "LAB"))
+    texts = (found.reason, "grasp.shear_n_mm", "a drag", "Noise spectrum", "pads", SIMULATED)
+    for text in (*texts, found.verdict(1), found.verdict(4)):
         assert text in page
     for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
         check_svg(svg)
+    # Points at 0.8 and 0.9 from bottom to top of 0.7 to 1, with their intervals
+    found_at = r'<path d="M([\d.]+) ([\d.]+)V([\d.]+)" [^>]*/><circle [^>]*cy="([\d.]+)"'
+    points = re.findall(found_at, page)
+    assert [tuple(map(float, one)) for one in points] == [
+        (34.0, 186.0, 84.7, 135.3), (186.0, 135.3, 34.0, 84.7),
+    ]  # fmt: skip
+
+
+def test_each_stage_has_a_verdict():
+    estimates = (
+        estimate("grasp.shear_n_mm", 5.0, 0.2), estimate("grasp.torsion_nmm_rad", 300.0, 90.0),
+        estimate("delay.pose_wrench", 0.02, 1e-3), estimate("wrist.white_n", 0.07, 1e-3),
+    )  # fmt: skip
+    missing = (
+        ("wrist.white_n, wrist.white_nm", "`collect --plan rest`: 0 s at rest, 30 s are needed"),
+        ("grasp.torsion_nmm_rad", "more of `collect --plan gel`: its uncertainty is 68%"),
+        ("mu_grip, spread.mu_grip", "`collect --plan contact`"),
+        ("wrist.height_mm", "`calibrate wrist`"),
+    )
+    used = ("grasp.shear_n_mm", "wrist.white_n")
+    found = replace(made_identification(0.3), estimates=estimates, used=used, missing=missing)
+    assert [found.verdict(stage) for stage in (1, 2, 3, 4)] == [
+        "Identified: 1 of 1 parameters enter the bench file; record "
+        "`touchdown collect --plan rest`: 0 s at rest, 30 s are needed.",
+        "Identified: 0 of 1 parameters enter the bench file; not a setting: 1.",
+        "Identified: 1 of 2 parameters enter the bench file; too uncertain: torsional stiffness of "
+        "a gel.",
+        "Not identified; record `touchdown collect --plan contact`.",
+    ]
+    refused = replace(made_identification(1.3), estimates=estimates, used=())
+    assert refused.verdict(3) == (
+        "Identified: 0 of 2 parameters enter the bench file; bench refused: 1; too uncertain: "
+        "torsional stiffness of a gel."
+    )
+
+
+def test_stages_2_to_4_have_charts_of_what_was_recorded(tmp_path, monkeypatch):
+    found, _ = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"))
+    delays = {"pose_wrench": np.array([0.01, np.nan, 0.02]), "command_pose": np.full(3, np.nan)}
+    slips = {"mu": [0.8, 0.9], "sigma": [0.1, 0.0]}
+    late, gels, pads = _charts(delays, found, slips)
+    assert (late.stage, late.units[1], list(late.curves)) == (2, "ms", ["pose to wrench"])
+    assert late.x.tolist() == [1.0, 2.0, 3.0]
+    shear, _ = found.of("shear")
+    assert gels.stage == 3
+    np.testing.assert_allclose(gels.curves[""][0], shear)
+    np.testing.assert_allclose(
+        pads.curves[""], [[0.8, 0.9], [0.8 * np.exp(-0.196), 0.9], [0.8 * np.exp(0.196), 0.9]]
+    )
+    nothing = {"mu": [], "sigma": []}
+    assert [one.stage for one in _charts({}, found, nothing)] == [3]
+
+
+def test_an_uncertain_parameter_names_its_own_recording(tmp_path, monkeypatch, presses):
+    def run(self, start, evaluations=8):
+        nothing = np.zeros((len(start), len(start)))
+        return FitResult(start, nothing, np.full(len(start), 0.01), 1.0, 1.0, 0.1)
+
+    monkeypatch.setattr(GlsFit, "run", run)
+    vague = RestResult((estimate("wrist.drift_n_sqrt_min", 0.05, 0.05),), (), ())
+    monkeypatch.setattr(sensors, "identify_rest", lambda _: vague)
+    recordings = Recordings(tuple(presses), made_rest(40.0, dropped=[]), ("inputs",))
+    found = identify_bench(recordings, NOMINAL, LIBRARY, tmp_path / "stages")
+    needed = dict(found.missing)["wrist.drift_n_sqrt_min"]
+    assert needed.startswith("more of `collect --plan rest`: its uncertainty is 173%")
+    assert [one.stage for one in found.charts] == [2, 3]
+
+
+def test_the_stored_report_is_read_again(tmp_path):
+    made = report.identification_report(made_identification(0.3), "LAB")
+    figures = write_identification(
+        made_identification(0.3), tmp_path / "lab.toml", "LAB", asdict(made)
+    )
+    assert read_report(figures)[1] == made
+    figures.write_text(figures.read_text().replace("<polyline", "<script"))
+    with pytest.raises(InputError, match="damaged"):
+        read_report(figures)
+    figures.write_text('{"format": 1}')
+    with pytest.raises(InputError, match="identify"):
+        read_report(figures)
+    write_identification(made_identification(0.3), tmp_path / "lab.toml", "LAB")
+    with pytest.raises(InputError, match="damaged"):
+        read_report(figures)
 
 
 def test_a_fit_that_did_not_converge_is_named():
     found = replace(made_identification(0.3), converged=False)
     assert "did not converge" in found.reason
-    assert "did not converge" in identification_page(found, "LAB")
+    assert "did not converge" in report.identification_report(found, "LAB").about[0]
 
 
 def test_a_refused_bench_is_not_written(tmp_path):

@@ -98,6 +98,8 @@ class ForeignEpisode:
     side: str = ""
     recording: Recording | None = None
     quality: EpisodeQuality = TRUSTED
+    grip: str = ""  # of a press, "" if unknown; name of a mapped recording
+    mounting: str = ""  # the same; its folder
 
 
 class RecordedSignal(NamedTuple):
@@ -112,7 +114,7 @@ class RecordedSignal(NamedTuple):
 
 def save_foreign(episode: ForeignEpisode, path: Path) -> None:
     """Write an episode for the parent process: arrays without objects, metadata as JSON."""
-    facts = {name: getattr(episode, name) for name in ("index", "fps", "side")}
+    facts = {name: getattr(episode, name) for name in ("index", "fps", "side", "grip", "mounting")}
     text = np.frombuffer(json.dumps(facts).encode("utf-8"), np.uint8)
     np.savez(path, **{FACTS: text, **episode.values})  # type: ignore[arg-type]
 

@@ -153,7 +153,9 @@ def mapping_problem(foreign: ForeignEpisode) -> str:
 def mapping_losses(foreign: ForeignEpisode) -> tuple[str, ...]:
     """Return the information that the file lacks, and the assumptions made instead."""
     if foreign.recording is not None:
-        return ("Pictures are tracked and not kept.",)
+        unknown = "A grip or mounting that is unknown counts as one for the whole import ([grips])."
+        whole = () if foreign.grip and foreign.mounting else (unknown,)
+        return ("Pictures are tracked and not kept.", *whole)
     lost = ("It has no marker fields at their own rate, no bench clock and no tare.",)
     between = "It has no wrench between the ticks and no poses: nothing is replayed there."
     return lost if _has_signals(foreign.values) else (between, *lost)
@@ -314,6 +316,9 @@ class EpisodeImport:
             advance(found)
         reasons, contradicted = tuple(sorted(problems.items())), list[Contradiction]()
         if self._mapping:
+            grips = {(press.mounting, press.grip) for press in self.presses}
+            if names := ", ".join(sorted({mounting for mounting, _ in grips if mounting})):
+                lost[f"Grips: {len(grips)}; mountings: {names}."] = None
             changes = [measure_press(press) for press in self.presses]
             contradicted = contradictions(changes, self._mapping)
         return ImportSurvey(
@@ -325,11 +330,13 @@ class EpisodeImport:
         if self._mapping is None:
             return read_foreign(self._kind, self._source)
         file, cancel = self._options.mapping, self._options.cancelled
-        self.presses = self.presses or [
+        presses = self.presses or (
             cut_press(episode, number, onset_s, self._mapping)
             for episode in read_foreign(self._kind, self._source, MAPPED_DEADLINE_S, file, cancel)
             for number, onset_s in enumerate(find_presses(episode.values))
-        ]
+        )
+        # A copy of a recording in the same folder counts once.
+        self.presses = list({self._uuid(press): press for press in presses}.values())
         return self.presses
 
     def write(self, advance: Callable[[int], None] = lambda done: None) -> list[str]:
@@ -393,14 +400,14 @@ class EpisodeImport:
         if origin is not None:
             label = Label(**origin["label"])
         else:
-            # Grips are unknown: one grip for all episodes, so that no split can leak.
+            # One grip for all episodes whose grips are unknown, so that no split can leak.
             origin = {
                 "uuid": "",
                 "piece": str(self._options.piece),
                 "bottom": str(self._options.bottom),
                 "geometry": self._geometry,
-                "grip_id": f"{series}/unknown",
-                "mounting_id": f"{series}/unknown",
+                "grip_id": f"{foreign.mounting or series}/{foreign.grip or 'unknown'}",
+                "mounting_id": foreign.mounting or f"{series}/unknown",
                 "source": "human" if self._options.labelled_by else "measured",
             }
         context = EpisodeContext(

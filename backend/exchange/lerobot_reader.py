@@ -21,6 +21,12 @@ MAX_TICKS = 100_000
 def read(source: Path, wanted: Sequence[str] = ()) -> Iterator[ForeignEpisode]:
     """Yield the episodes by number, with the features ``wanted`` (default: those of an export)."""
     info = read_info(source)
+    for name in wanted:
+        kind, version = info["features"].get(name, {}).get("dtype"), info["codebase_version"]
+        if kind == "image" or (kind == "video" and version != "v3.0"):
+            what = f"'{name}' is '{kind}' in version {version}; only videos of v3.0 are read."
+            fix = "Convert the dataset to v3.0 with videos, or map an array of the markers."
+            raise InputError(what, str(source), fix)
     fps, sides = float(info["fps"]), info.get("splits", {})
     films = _VideoReader(source, info, wanted or tuple(PICTURES.values()))
     for path in sorted((source / "data").rglob("*.parquet")):
@@ -62,7 +68,7 @@ def _groups(
     kept = [name for name in file.schema_arrow.names if name.startswith(wanted)]
     number, parts = -1, list[dict[str, NDArray[Any]]]()
     for group in range(file.num_row_groups):
-        table = file.read_row_group(group, columns=[*kept, "episode_index"])
+        table = file.read_row_group(group, columns=[*{*kept, "episode_index"}])
         episodes = table.column("episode_index").to_numpy()
         for one in np.unique(episodes).tolist():
             if one != number and parts:

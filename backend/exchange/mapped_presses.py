@@ -24,6 +24,7 @@ from touchdown.backend.exchange.mapping import (
     LENGTH_MM,
     MOMENT_NM,
     NOMINAL_PX,
+    SIGNALS,
     ImportMapping,
     MappingChange,
 )
@@ -70,7 +71,7 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
               ) -> ForeignEpisode:  # fmt: skip
     """Return the press ``number`` of a recording as an episode, with contact at ``CONTACT_S``."""
     values = episode.values
-    t_s = {name: values[f"{name}.t_s"] - onset_s + CONTACT_S for name, _ in mapping}
+    t_s = {name: values[f"{name}.t_s"] - onset_s + CONTACT_S for name in mapping.sources}
 
     def rows(name: str, start_s: float = 0.0, end_s: float = LENGTH_S) -> NDArray[np.intp]:
         return np.flatnonzero((t_s[name] >= start_s) & (t_s[name] <= end_s))
@@ -103,7 +104,15 @@ def cut_press(episode: ForeignEpisode, number: int, onset_s: float, mapping: Imp
     observed: dict[str, NDArray[Any]] = {features.MARKERS: tactile, features.FT: wrench}
     observed |= {} if origin_mm is None else {features.OFFSET: offset_mm}
     index = NUMBERS * episode.index + number
-    return ForeignEpisode(index, features.FPS, observed, episode.side, recording, found.quality)
+    names = {"unknown": "", "recording": episode.grip, "folder": episode.mounting}
+    for name in set(t_s) - set(SIGNALS):
+        row = max(int(np.searchsorted(t_s[name], CONTACT_S, "right")) - 1, 0)
+        names[mapping.sources[name].source] = f"{values[name][row, 0]:.15g}"
+    grip, mounting = names[mapping.grips.grip], names[mapping.grips.mounting]
+    if mounting not in ("", episode.mounting):
+        mounting = f"{episode.mounting}/{mounting}"
+    return ForeignEpisode(index, features.FPS, observed, episode.side, recording, found.quality,
+                          grip, mounting)  # fmt: skip
 
 
 # Title, unit and axes of one signal of a press, times (n,) from the contact, values (n, axes).
@@ -194,7 +203,7 @@ def contradictions(presses: Sequence[Mapping[str, core.FloatArray]], mapping: Im
               for name in presses[0]}  # fmt: skip
     signals = (middle["wrench"], middle["pose"], *middle["shift"])
     missing = [f"'{name}' has no samples at the presses: its 'stamp' or 'time_offset_s'."
-               for (name, _), value in zip(mapping, signals, strict=True)
+               for name, value in zip(SIGNALS, signals, strict=True)
                if not np.isfinite(value).all()]  # fmt: skip
     # A wrong sign elsewhere also reverses the turns.
     return [Contradiction(text) for text in missing] or [

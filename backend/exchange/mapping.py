@@ -42,6 +42,8 @@ Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 FORCE_N = {"N": 1.0, "mN": 1e-3, "lbf": 4.4482216, "kgf": 9.80665}
 MOMENT_NM = {"N m": 1.0, "N mm": 1e-3, "lbf in": 0.1129848, "kgf m": 9.80665}
 LENGTH_MM = {"m": 1e3, "mm": 1.0}
+SIGNALS = ("wrench", "pose", *FINGERS)
+GROUPS = ("unknown", "recording", "folder")  # one for the import, or for each of these
 # Rest positions for a marker array that holds displacements only.
 NOMINAL_PX = 32.0 * np.stack(np.divmod(np.arange(MARKERS), GRID_COLS)[::-1], -1) + (32.0, 24.0)
 
@@ -156,23 +158,39 @@ class TactileSource(SignalSource):
         return np.asarray(found - found[0].mean(axis=0) + np.divide((WIDTH_PX, HEIGHT_PX), 2.0))
 
 
+class GripSettings(Settings):
+    """Grips and mountings: one of ``GROUPS``, or the topic or feature that holds their number."""
+
+    grip: Annotated[str, Field(min_length=1)] = "unknown"
+    mounting: Annotated[str, Field(min_length=1)] = "unknown"
+
+
 class ImportMapping(Settings):
-    """All signals of a recording."""
+    """All signals of a recording, and the grips of its presses."""
 
     wrench: WrenchSource
     pose: PoseSource
     left: TactileSource
     right: TactileSource
+    grips: GripSettings = GripSettings()
+
+    @property
+    def sources(self) -> dict[str, Any]:
+        """Sources by name: the signals, and the numbers of grips and mountings."""
+        named = {name: getattr(self.grips, name) for name in ("grip", "mounting")}
+        numbers = {k: SignalSource(source=own) for k, own in named.items() if own not in GROUPS}
+        return {name: getattr(self, name) for name in SIGNALS} | numbers
 
 
 def map_signals(mapping: ImportMapping, samples: Mapping[str, Samples]) -> dict[str, NDArray[Any]]:
     """Return the signals of one recording in units and frames of the bench, from their samples.
 
     ``NAME.t_s`` (n,) from the first sample of any signal, s. ``wrench`` (n, 6), ``pose`` (n, 3) in
-    mm; ``left`` and ``right`` (n, 63, 2), marker positions in px, with ``.state``.
+    mm; ``left`` and ``right`` (n, 63, 2), marker positions in px, with ``.state``; ``grip`` and
+    ``mounting`` (n, 1) if they are numbers.
     """
     values: dict[str, NDArray[Any]] = {}
-    for name, source in mapping:
+    for name, source in mapping.sources.items():
         if isinstance(source, TactileSource) and source.kind == "images":
             pictures = _checked(source, samples[name], dimensions=3)
             frames = (
@@ -186,15 +204,16 @@ def map_signals(mapping: ImportMapping, samples: Mapping[str, Samples]) -> dict[
             values[f"{name}.state"] = np.array([field.state for field in fields])
             continue
         both = sorted(_checked(source, samples[name], dimensions=1), key=lambda one: one[0])
-        if len(both) < 2:
+        if len(both) < 1 + (name in SIGNALS):
             what = f"There are {len(both)} messages or rows of '{source.source}'."
-            raise InputError(what, source.source, "Correct 'source' in the mapping.")
+            raise InputError(what, source.source, "Correct this name in the mapping.")
         values[f"{name}.t_s"] = np.array([1e-9 * stamp_ns for stamp_ns, _ in both])
-        values[name] = source.converted([row for _, row in both])
+        numbers = [row for _, row in both]
+        values[name] = source.converted(numbers) if name in SIGNALS else source.numbers(numbers, 1)
         if name in FINGERS:
             values[f"{name}.state"] = np.zeros(values[name].shape[:2], np.uint8)
-    start_s = min(float(values[f"{name}.t_s"][0]) for name, _ in mapping)
-    for name, source in mapping:
+    start_s = min(float(values[f"{name}.t_s"][0]) for name in mapping.sources)
+    for name, source in mapping.sources.items():
         values[f"{name}.t_s"] += source.time_offset_s - start_s
     return values
 
@@ -209,19 +228,28 @@ def _checked(source: SignalSource, samples: Samples, dimensions: int) -> Samples
 
 
 def read(kind: str, source: Path, mapping: Path) -> Iterator[ForeignEpisode]:
-    """Yield the mapped signals of each episode of a data set, or of one bag."""
+    """Yield the mapped signals of each episode of a data set, or of each bag."""
     signals = read_settings(ImportMapping, mapping)
+    sources = signals.sources
     if kind == "lerobot":
-        for episode in read_lerobot(source, [signal.source for _, signal in signals]):
-            samples = {name: _rows(episode, signal.source) for name, signal in signals}
-            yield replace(episode, values=map_signals(signals, samples))
+        for episode in read_lerobot(source, [one.source for one in sources.values()]):
+            samples = {name: _rows(episode, one.source) for name, one in sources.items()}
+            yield replace(episode, values=map_signals(signals, samples), mounting=source.name,
+                          grip=f"episode-{episode.index}")  # fmt: skip
         return
-    messages = {name: read_messages(_bags(source), signal) for name, signal in signals}
-    yield ForeignEpisode(0, 0.0, map_signals(signals, messages))
+    for bag, own in _bags(source).items():
+        messages = {name: read_messages(own, one) for name, one in sources.items()}
+        # All have the number 0, so that a bag is known again without the others.
+        grip, mounting = bag.name.removesuffix(".mcap"), bag.parent.name
+        yield ForeignEpisode(0, 0.0, map_signals(signals, messages), grip=grip, mounting=mounting)
 
 
-def _bags(source: Path) -> list[Path]:
-    bags = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
+def _bags(source: Path) -> dict[Path, list[Path]]:
+    """Return the files of each bag; those beside ``metadata.yaml`` are one bag, their folder."""
+    bags: dict[Path, list[Path]] = {}
+    for file in sorted(source.rglob("*.mcap")) if source.is_dir() else [source]:
+        whole = (file.parent / "metadata.yaml").is_file()
+        bags.setdefault(file.parent if whole else file, []).append(file)
     if not bags:
         raise InputError("There is no MCAP file.", str(source), "Name a file or a bag of MCAP.")
     return bags
@@ -242,8 +270,8 @@ def read_contents(source: Path) -> Iterator[ForeignEpisode]:
             size = info["total_frames"], info["fps"]
             found[name] = RecordedSignal(name, one["dtype"], numbers, *size)
     else:
-        for bag in _bags(source):
-            for topic in _topics(bag):
+        for file in (file for bag in _bags(source).values() for file in bag):
+            for topic in _topics(file):
                 before = found[topic.name].messages if topic.name in found else 0
                 found[topic.name] = topic._replace(messages=topic.messages + before)
     yield ForeignEpisode(0, 0.0, {"contents": np.array(sorted(found.values()))})

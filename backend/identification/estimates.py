@@ -25,6 +25,8 @@ PARAMETERS: dict[str, tuple[str, int, str, float, float, str]] = {
 }
 # Parameters that no plan identifies, with the recording that would.
 OTHER_RECORDINGS: tuple[tuple[str, str], ...] = tuple(_LISTS["others"].items())
+# Parameters that imported presses do not identify, with what would.
+NOT_IMPORTED: dict[str, str] = _LISTS["imported"]
 
 
 def identifiable(plan: str) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.identification import sensors, stages
 from touchdown.backend.identification.estimates import (
     CONTACT,
+    NOT_IMPORTED,
     OTHER_RECORDINGS,
     PARAMETERS,
     REST,
@@ -183,12 +184,15 @@ def identify_bench(
     friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
     pads = stages.friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
     gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
-    estimates = (
+    absent = NOT_IMPORTED if any(press.imported for press in presses.recordings) else {}
+    missing += absent.items()
+    estimated = (
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *sensors.arm_compliance(gel[:40]), *stages.mechanics_estimates(mechanics),
         stages.dilation_estimate(mechanics.presses, mechanics, nominal.tactile.pitch_mm), *pads,
     )  # fmt: skip
+    estimates = tuple(one for one in estimated if one.key not in ", ".join(absent).split(", "))
     if not pads:
         count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""
         missing.append((", ".join(identifiable(CONTACT)), f"`{CONTACT}`{count}"))

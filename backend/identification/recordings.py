@@ -48,6 +48,7 @@ class PressRecording:
     onset_s: float
     probe: ProbeSettings
     signals: Recording
+    imported: bool = False  # tared on the air before the press
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +119,7 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
         used = episode.quality.accepted or (slipped and facts.get("stage") == CONTACT_STAGE)
         if used and label.is_set:
             presses.append(_press(entry, facts, label, episode.recording, episode.onset_s))
-    simulated = all(entry.mode != "lab" for entry in entries)
+    simulated = all(entry.mode not in ("lab", "imported") for entry in entries)
     # The clock starts anew with each mounting: only the longest rest is used.
     longest = max(rests.values(), key=len, default=[])
     rest = RestRecording.joined(longest) if longest else None
@@ -142,6 +143,7 @@ def _press(
         onset_s=onset_s,
         probe=probe,
         signals=signals,
+        imported=entry.mode == "imported",
     )
 
 
@@ -150,6 +152,7 @@ LEAST_WRENCH_HZ, LEAST_FRAMES_HZ = 100.0, 10.0
 LEAST_TRAVEL_MM, LEAST_RANGE_MM = 0.5, 4.0
 SATURATED_SHARE = 0.2  # equal extreme values of a channel in contact
 RECORD_GEL = "Record more with `touchdown collect --plan gel`."
+NAME_GRIPS = "Name grips and mountings in [grips] of the mapping, and import into another dataset."
 RECORD_WHOLE = "Record whole presses, from the air to 2 s after contact: `collect --plan gel`."
 
 
@@ -165,7 +168,8 @@ def refuse_unusable(presses: Sequence[PressRecording], library: PieceLibrary, wh
     for what, count, least in numbers:
         if count < least:
             text = f"The dataset has {count} {what}; an identification needs {least}."
-            raise InputError(text, where, RECORD_GEL)
+            divided = what.startswith("valid") or not all(press.imported for press in presses)
+            raise InputError(text, where, RECORD_GEL if divided else NAME_GRIPS)
     free = sorted({p.bottom for p in presses if not library.bottom(p.bottom).fixed})
     if free:
         raise InputError(

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap_ros2.writer import Writer
 
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.cli.command_line import main
@@ -30,6 +31,8 @@ from touchdown.backend.exchange.mapped_presses import (
     measure_press,
 )
 from touchdown.backend.exchange.mapping import ImportMapping, propose_mapping, recording_format
+from touchdown.backend.geometry import load_pieces
+from touchdown.backend.identification.recordings import read_recordings, refuse_unusable
 
 FOREIGN = Path(__file__).parents[2] / "data/foreign"  # .ci/exchange_check/foreign_example.py
 MAP = FOREIGN / "map.toml"
@@ -41,7 +44,7 @@ def bag() -> dict[str, list[tuple[int, Any]]]:
     """The messages by topic. The left gel is an array of displacements, tracked beforehand."""
     signals = read_settings(ImportMapping, MAP)
     topics = {signal.source: list(mapping.read_messages([FOREIGN / "press.mcap"], signal))
-              for _, signal in signals}  # fmt: skip
+              for signal in signals.sources.values()}  # fmt: skip
     (episode,) = mapping.read("mcap", FOREIGN / "press.mcap", MAP)
     upright = episode.values["left"] - episode.values["left"][0]
     films = topics["/gel_left/compressed"]
@@ -55,7 +58,9 @@ def mapped(bag: Any, **changes: dict[str, Any]) -> tuple[ImportMapping, list[For
     content = read_settings(ImportMapping, MAP).model_dump() | {"left": ARRAY}
     content = {name: {**signal, **changes.get(name, {})} for name, signal in content.items()}
     signals = ImportMapping.model_validate(content)
-    values = mapping.map_signals(signals, {name: bag[one.source] for name, one in signals})
+    values = mapping.map_signals(
+        signals, {name: bag[one.source] for name, one in signals.sources.items()}
+    )
     episode = ForeignEpisode(0, None, values)
     presses = [cut_press(episode, k, t_s, signals) for k, t_s in enumerate(find_presses(values))]
     return signals, presses
@@ -173,6 +178,8 @@ def test_markers_turn_like_the_picture_they_are_in(turn_deg, mirror):
         ("/tool_pose", "/tool", "There are 0 messages or rows of '/tool'"),
         ('source = "/tool_pose"', 'source = "/tool_pose"\nfirst = 6', "has 7 numbers"),
         ('kind = "positions"', 'kind = "images"', "It has numbers only"),
+        ('stamp = "log"', '[grips]\ngrip = "recordings"', "0 messages or rows of 'recordings'"),
+        ('stamp = "log"', "[grips]\ngrip = 1", "grips.grip"),
     ],
 )
 def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, named):
@@ -240,7 +247,9 @@ def test_a_mapping_is_proposed_from_the_signals_of_a_bag(tmp_path, capsys):
     assert main([*words, "--dataset", str(tmp_path / "ds")]) == 1
     assert f"A mapping to correct is in {path}" in capsys.readouterr().out
     proposed, good = (read_settings(ImportMapping, file) for file in (path, MAP))
-    assert [one.source for _, one in proposed] == [one.source for _, one in good]
+    places = [[one.source for one in each.sources.values()] for each in (proposed, good)]
+    assert places[0] == places[1]
+    assert proposed.grips == good.grips
     assert (proposed.left.kind, proposed.right.kind) == ("images", "positions")
 
 
@@ -248,7 +257,7 @@ def test_what_no_signal_fits_stays_open_in_a_proposal():
     scene = RecordedSignal("/scene/left", "sensor_msgs/msg/Image", 0, 9, 30.0)
     joints = RecordedSignal("/joint_states", "sensor_msgs/msg/JointState", 2, 9, 100.0)
     proposed = tomllib.loads(propose_mapping([scene, joints]))
-    sources = {name: one["source"] for name, one in proposed.items()}
+    sources = {name: one["source"] for name, one in proposed.items() if name != "grips"}
     assert sources == {"wrench": "", "pose": "", "left": "/scene/left", "right": ""}
 
 
@@ -317,8 +326,10 @@ def test_a_lerobot_data_set_with_its_own_features_comes_in(tmp_path, bag):
         '[right]\nsource = "tactile.right"\nkind = "positions"\n'
     )
     (episode,) = mapping.read("lerobot", folder, path)
+    assert (episode.grip, episode.mounting) == ("episode-0", "set")
     (onset_s,) = find_presses(episode.values)
     press = cut_press(episode, 0, onset_s, read_settings(ImportMapping, path))
+    assert (press.grip, press.mounting) == ("", "")
     assert contradictions([measure_press(press)], read_settings(ImportMapping, path)) == []
     assert press.quality.accepted
     with np.load(FOREIGN / "truth.npz") as truth:
@@ -333,3 +344,171 @@ def test_a_lerobot_data_set_with_its_own_features_comes_in(tmp_path, bag):
         ("tactile.right", "float32", 126, len(t_s), 25.0),
     ]
     assert 'source = "tactile.left"' in propose_mapping(recording_contents(folder))
+    numbered = path.read_text() + '[grips]\ngrip = "episode_index"\nmounting = "recording"\n'
+    info["features"]["episode_index"] = {"dtype": "int64", "shape": [1]}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    (tmp_path / "numbered.toml").write_text(numbered)
+    (episode,) = mapping.read("lerobot", folder, tmp_path / "numbered.toml")
+    press = cut_press(episode, 0, onset_s, read_settings(ImportMapping, tmp_path / "numbered.toml"))
+    assert (press.grip, press.mounting) == ("0", "set/episode-0")
+    for change, named in (
+        ({"codebase_version": "v2.1"}, "'tactile.left' is 'video' in version v2.1"),
+        ({"features": features | {"tactile.left": {"dtype": "image", "shape": [240, 320, 3]}}},
+         "'tactile.left' is 'image' in version v3.0"),
+    ):  # fmt: skip
+        (folder / "meta/info.json").write_text(json.dumps(info | change))
+        with pytest.raises(InputError, match=named) as refused:
+            list(read_foreign("lerobot", folder, 60.0, path))
+        assert "Convert the dataset to v3.0 with videos" in refused.value.fix
+
+
+GRIPPED = """
+[wrench]
+source = "/signals"
+force_unit = "N"
+moment_unit = "N m"
+axes = ["x", "y", "z"]
+acts_on = "tool"
+[pose]
+source = "/signals"
+first = 6
+unit = "mm"
+axes = ["x", "y", "z"]
+origin_mm = [400.0, 100.0]
+[left]
+source = "/left"
+kind = "displacements"
+[right]
+source = "/right"
+kind = "displacements"
+"""
+PRESSES, PERIOD_S = 4, 4.0  # of a recording
+
+
+def write_presses(path: Path, number: int) -> None:
+    """Write a bag of four presses. Before the first and the third the topic /grip counts on."""
+    rng = np.random.default_rng(number)
+    offsets = rng.uniform(-6.0, 6.0, (PRESSES, 2))
+
+    def depth_mm(t_s: float) -> float:
+        after = t_s % PERIOD_S - 1.0
+        pressed = min(2.0 * after, 0.2) + min(max(after - 0.3, 0.0), 0.8)
+        return pressed if 0.0 < after < 2.3 else 0.0
+
+    def signals(t_s: float) -> list[float]:
+        z_mm = 30.0 - depth_mm(t_s) + 2.0 * max(1.0 - t_s % PERIOD_S, 0.0)
+        wrench = rng.normal(0.0, np.repeat([0.02, 0.0005], 3))
+        wrench += 10.0 * depth_mm(t_s) * np.array([0.0, 0.0, 1.0, 0.02, 0.0, 0.0])
+        hand = offsets[int(t_s / PERIOD_S)] + (400.0, 100.0)
+        return [*wrench, *hand, z_mm]
+
+    def markers(t_s: float) -> list[float]:
+        moved = rng.normal(0.0, 0.02, (63, 2))
+        moved[:, 1] -= 17.0 * depth_mm(t_s)
+        return moved.ravel().tolist()
+
+    span_s = PRESSES * PERIOD_S
+    sent = [(t_s, "/signals", signals(t_s)) for t_s in np.arange(0.0, span_s, 0.005)]
+    sent += [(t_s, name, markers(t_s)) for name in ("/left", "/right")
+             for t_s in np.arange(0.01, span_s, 0.04)]  # fmt: skip
+    sent += [(t_s, "/grip", [2.0 * number + k]) for k, t_s in enumerate((0.5, 8.5))]
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        schema = writer.register_msgdef("lab/msg/Numbers", "float64[] data")
+        for t_s, topic, row in sorted(sent):
+            stamp_ns = 10**18 + round(1e9 * t_s)
+            writer.write_message(topic, schema, {"data": row}, stamp_ns, stamp_ns)
+        writer.finish()
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory):
+    """Two folders of three bags, one of them split into two files."""
+    folder = tmp_path_factory.mktemp("lab") / "days"
+    folder.mkdir()
+    for number in range(6):
+        write_presses(folder / ("monday", "tuesday")[number // 3] / f"{number}.mcap", number)
+    return folder
+
+
+def test_presses_of_named_grips_and_mountings_can_be_identified(tmp_path, days, capsys):
+    words = ["import", "mcap", str(days), "--piece", "pot", "--bottom", "square15", "--map"]
+    for name, grips in (
+        ("unknown", ""), ("named", '[grips]\ngrip = "recording"\nmounting = "folder"\n'),
+    ):  # fmt: skip
+        path = tmp_path / f"{name}.toml"
+        path.write_text(GRIPPED + grips)
+        assert main([*words, str(path), "--dataset", str(tmp_path / name)]) == 0
+    unknown, named = capsys.readouterr().out.split("Episodes found: 24, present already: 0.")[1:]
+    assert "unknown counts as one for the whole import ([grips])" in unknown
+    assert "Grips: 6; mountings: monday, tuesday." in named
+    with Dataset.open(tmp_path / "unknown", write=False) as dataset:
+        presses = read_recordings(dataset).presses
+        assert {one.grip for one in presses} == {f"{dataset.episodes()[0].series}/unknown"}
+        with pytest.raises(InputError, match="1 grippings") as refused:
+            refuse_unusable(presses, load_pieces(), "here")
+    assert "[grips] of the mapping" in refused.value.fix
+    with Dataset.open(tmp_path / "named", write=False) as dataset:
+        found = read_recordings(dataset)
+    assert not found.simulated
+    refuse_unusable(found.presses, load_pieces(), "here")
+    assert all(one.imported for one in found.presses)
+    names = [(one.grip, one.mounting) for one in found.presses]
+    assert {one: names.count(one) for one in names} == {
+        (f"{day}/{number}", day): PRESSES
+        for day, numbers in (("monday", range(3)), ("tuesday", range(3, 6)))
+        for number in numbers
+    }
+    offsets = np.random.default_rng(5).uniform(-6.0, 6.0, (PRESSES, 2))
+    own = [one.offset_mm for one in found.presses if one.grip == "tuesday/5"]
+    np.testing.assert_allclose(np.sort(own, axis=0), np.sort(offsets, axis=0), atol=0.002)
+    # A file alone, or a copy of it, is known.
+    words[2] = str(days / "monday/1.mcap")
+    assert main([*words, str(path), "--dataset", str(tmp_path / "named")]) == 0
+    assert "Episodes found: 4, present already: 4." in capsys.readouterr().out
+
+
+def test_a_copy_of_a_recording_counts_once(tmp_path, days, capsys):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        shutil.copyfile(days / "monday/0.mcap", bag / name)
+    path = tmp_path / "map.toml"
+    path.write_text(GRIPPED)
+    words = ["import", "mcap", str(bag), "--piece", "pot", "--bottom", "square15",
+             "--dataset", str(tmp_path / "ds"), "--map", str(path)]  # fmt: skip
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "Episodes found: 4, present already: 0." in out
+    assert ": 4. Their labels are drafts." in out
+
+
+def test_the_files_of_one_bag_are_one_recording(tmp_path):
+    bag = tmp_path / "monday/bag.1"
+    bag.mkdir(parents=True)
+    (bag / "metadata.yaml").touch()
+    shutil.copyfile(FOREIGN / "press.mcap", bag / "bag_0.mcap")
+    for source in (bag, bag / "bag_0.mcap", tmp_path):
+        (episode,) = mapping.read("mcap", source, MAP)
+        assert (episode.grip, episode.mounting) == ("bag.1", "monday")
+
+
+@pytest.mark.parametrize(
+    ("grip", "mounting", "named"),
+    [
+        ("/grip", "folder", [("10", "tuesday"), ("11", "tuesday")]),
+        ("/grip", "unknown", [("10", ""), ("11", "")]),
+        ("recording", "/grip", [("5", "tuesday/10"), ("5", "tuesday/11")]),
+        ("unknown", "recording", [("", "tuesday/5")] * 2),
+        ("folder", "folder", [("tuesday", "tuesday")] * 2),
+    ],
+)
+def test_the_number_of_a_grip_is_the_newest_at_the_contact(tmp_path, days, grip, mounting, named):
+    path = tmp_path / "map.toml"
+    path.write_text(f'{GRIPPED}[grips]\ngrip = "{grip}"\nmounting = "{mounting}"\n')
+    (episode,) = mapping.read("mcap", days / "tuesday/5.mcap", path)
+    signals = read_settings(ImportMapping, path)
+    presses = [cut_press(episode, k, t_s, signals)
+               for k, t_s in enumerate(find_presses(episode.values))]  # fmt: skip
+    assert [(one.grip, one.mounting) for one in presses] == [named[0]] * 2 + [named[1]] * 2

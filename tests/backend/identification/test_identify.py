@@ -5,6 +5,7 @@ import json
 import re
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -808,6 +809,36 @@ def test_a_fit_that_did_not_converge_is_named():
     found = replace(made_identification(0.3), converged=False)
     assert "did not converge" in found.reason
     assert "did not converge" in report.identification_report(found, "LAB").about[0]
+
+
+@pytest.mark.parametrize("imported", [True, False])
+def test_errors_after_the_tare_of_an_import_are_named_not_measured(tmp_path, monkeypatch, imported):
+    presses = tuple(made_press(k, imported=imported) for k in range(24))
+    mechanics = SimpleNamespace(
+        presses=None, fit=SimpleNamespace(misfit=1.0), converged=True, discrepancy=0.0,
+        of=lambda _name: (np.full(6, 5.0), np.full(6, 0.1)),
+    )  # fmt: skip
+    for name, value in {
+        "fit_mechanics": mechanics,
+        "mechanics_estimates": [estimate("grasp.shear_n_mm", 5.0, 0.2)],
+        "dilation_estimate": estimate("tactile.dilation", 0.02, 1e-3),
+        "replay_gate": made_identification(0.3).gate,
+        "correlations": (("shear",), np.ones((1, 1))),
+    }.items():
+        stage = f"touchdown.backend.identification.stages.{name}"
+        monkeypatch.setattr(stage, lambda *_, value=value: value)
+    found = identify_bench(Recordings(presses, None, ("a",)), NOMINAL, LIBRARY, tmp_path)
+    keys = {"wrist.offset_n", "wrist.offset_nm", "tactile.bias_px", "tactile.dilation"}
+    assert keys & {one.key for one in found.estimates} == (set() if imported else keys)
+    named = [key for keys, how in found.missing if "imported" in how for key in keys.split(", ")]
+    assert set(named) == (keys if imported else set())
+    assert found.verdict(1).count("imported presses are tared") == imported
+    assert {"grasp.shear_n_mm", "wrist.white_n"} <= {one.key for one in found.estimates}
+    for key in keys if imported else ():
+        group, name = key.split(".")
+        assert getattr(getattr(found.settings, group), name) == getattr(
+            getattr(NOMINAL, group), name
+        )
 
 
 def test_a_refused_bench_is_not_written(tmp_path):

@@ -177,8 +177,7 @@ class ImportMapping(Settings):
     @property
     def sources(self) -> dict[str, Any]:
         """Sources by name: the signals, and the numbers of grips and mountings."""
-        named = {name: getattr(self.grips, name) for name in ("grip", "mounting")}
-        numbers = {k: SignalSource(source=own) for k, own in named.items() if own not in GROUPS}
+        numbers = {k: SignalSource(source=own) for k, own in self.grips if own not in GROUPS}
         return {name: getattr(self, name) for name in SIGNALS} | numbers
 
 
@@ -186,8 +185,7 @@ def map_signals(mapping: ImportMapping, samples: Mapping[str, Samples]) -> dict[
     """Return the signals of one recording in units and frames of the bench, from their samples.
 
     ``NAME.t_s`` (n,) from the first sample of any signal, s. ``wrench`` (n, 6), ``pose`` (n, 3) in
-    mm; ``left`` and ``right`` (n, 63, 2), marker positions in px, with ``.state``; ``grip`` and
-    ``mounting`` (n, 1) if they are numbers.
+    mm; ``left``, ``right`` (n, 63, 2) in px, with ``.state``; ``grip``, ``mounting`` (n, 1).
     """
     values: dict[str, NDArray[Any]] = {}
     for name, source in mapping.sources.items():
@@ -247,7 +245,8 @@ def read(kind: str, source: Path, mapping: Path) -> Iterator[ForeignEpisode]:
 def _bags(source: Path) -> dict[Path, list[Path]]:
     """Return the files of each bag; those beside ``metadata.yaml`` are one bag, their folder."""
     bags: dict[Path, list[Path]] = {}
-    for file in sorted(source.rglob("*.mcap")) if source.is_dir() else [source]:
+    found = filter(Path.is_file, source.rglob("*.mcap")) if source.is_dir() else [source]
+    for file in sorted(found):
         whole = (file.parent / "metadata.yaml").is_file()
         bags.setdefault(file.parent if whole else file, []).append(file)
     if not bags:

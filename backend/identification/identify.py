@@ -185,7 +185,6 @@ def identify_bench(
     pads = stages.friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
     gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
     absent = NOT_IMPORTED if any(press.imported for press in presses.recordings) else {}
-    missing += absent.items()
     estimated = (
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
@@ -204,8 +203,8 @@ def identify_bench(
                 for e in estimates if e.sharpness >= USEFUL_SHARPNESS]  # fmt: skip
     return Identification(
         settings, nominal, estimates, used, gate, names, correlation, charts, rest.facts,
-        (*missing, *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses), len(presses.grips),
-        recordings.simulated, mechanics.converged, mechanics.discrepancy,
+        (*missing, *absent.items(), *OTHER_RECORDINGS), mechanics.fit.misfit, len(presses),
+        len(presses.grips), recordings.simulated, mechanics.converged, mechanics.discrepancy,
     )  # fmt: skip
 
 

@@ -216,15 +216,18 @@ def test_a_recording_comes_in_by_a_mapping_that_nothing_contradicts(page, sheet,
         f"Nothing contradicts '{name}'." for name in sheet.findings
     }
     assert "stored as pot on circle15" in sheet.note.text()
-    sheet.mapping.setPlainText(sheet.mapping.toPlainText() + "# checked")
+    divided = '[grips]\ngrip = "recording"\nmounting = "folder"\n'
+    sheet.mapping.setPlainText(sheet.mapping.toPlainText() + divided)
     assert not sheet.add.isEnabled(), "another mapping needs another preview"
     look(page, sheet)
+    assert "Grips: 1; mountings: foreign." in sheet.note.text()
     QTest.mouseClick(sheet.add, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: not sheet.isVisible(), timeout=60_000)
     page.settle()
     assert len(page.uuids) == PROBES + 1
     (entry,) = [e for e in page.presenter.dataset.episodes() if e.mode == "imported"]
     assert (entry.piece, entry.bottom, entry.person) == ("pot", "circle15", "Ann")
+    assert (entry.grip_id, entry.mounting_id) == ("foreign/press", "foreign")
     texts = [one.text() for one in page.main.window.findChildren(QLabel)]
     assert "1 new episode from press.mcap." in texts
 

@@ -485,7 +485,7 @@ def test_a_copy_of_a_recording_counts_once(tmp_path, days, capsys):
 
 
 def test_the_files_of_one_bag_are_one_recording(tmp_path):
-    bag = tmp_path / "monday/bag.1"
+    bag = tmp_path / "monday/bag.1.mcap"
     bag.mkdir(parents=True)
     (bag / "metadata.yaml").touch()
     shutil.copyfile(FOREIGN / "press.mcap", bag / "bag_0.mcap")

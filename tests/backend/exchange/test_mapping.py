@@ -32,7 +32,13 @@ from touchdown.backend.exchange.mapped_presses import (
 )
 from touchdown.backend.exchange.mapping import ImportMapping, propose_mapping, recording_format
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification.recordings import read_recordings, refuse_unusable
+from touchdown.backend.identification.recordings import (
+    Delays,
+    read_recordings,
+    refuse_unusable,
+    sample_presses,
+)
+from touchdown.backend.identification.stages import split_grips
 
 FOREIGN = Path(__file__).parents[2] / "data/foreign"  # .ci/exchange_check/foreign_example.py
 MAP = FOREIGN / "map.toml"
@@ -460,6 +466,9 @@ def test_presses_of_named_grips_and_mountings_can_be_identified(tmp_path, days, 
         for day, numbers in (("monday", range(3)), ("tuesday", range(3, 6)))
         for number in numbers
     }
+    sampled = sample_presses(found.presses, Delays())
+    held_out = {sampled.grips[sampled.grip[row]] for row in split_grips(sampled)[1]}
+    assert sorted(name.split("/")[0] for name in held_out) == ["monday", "tuesday"]
     offsets = np.random.default_rng(5).uniform(-6.0, 6.0, (PRESSES, 2))
     own = [one.offset_mm for one in found.presses if one.grip == "tuesday/5"]
     np.testing.assert_allclose(np.sort(own, axis=0), np.sort(offsets, axis=0), atol=0.002)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.bench import experiments, figures, laboratories, run, throughput
+from tests.bench import experiments, figures, laboratories, laboratory_labels, run, throughput
 from tests.bench.figures import Figure, figure
 from touchdown.backend.config import load_simulation
 from touchdown.backend.core.faults import InputError
@@ -173,10 +173,10 @@ def test_a_laboratory_is_added_to_those_that_are_there(tmp_path, monkeypatch):
 
 
 def test_labels_needed_are_read_where_random_order_ends():
-    batch = laboratories.BATCH
+    batch = laboratory_labels.BATCH
     # The mean ends at 0.6, reached after two batches.
     rising = [[0.3, 0.5, 0.6, 0.7], [0.3, 0.5, 0.6, 0.5]]
-    found = laboratories.labels_needed(
+    found = laboratory_labels.labels_needed(
         [{"random": rising, "queue": [[0.3, 0.6, 0.65]] * 2}], "random"
     )
     assert found["labels"] == {"random": pytest.approx(2 * batch), "queue": pytest.approx(batch)}
@@ -185,13 +185,13 @@ def test_labels_needed_are_read_where_random_order_ends():
     assert low == pytest.approx(1 / 2)  # draws of the second seed twice end at 0.5, after a batch
     assert high is None or high >= 0.5
     never = {"random": [[0.3, 0.5, 0.6, 0.7]], "queue": [[0.3, 0.4, 0.5, 0.5]]}
-    found = laboratories.labels_needed([never], "random")
+    found = laboratory_labels.labels_needed([never], "random")
     assert (found["share"], found["interval"], found["draws_that_reach"]) == (None, [None] * 2, 0)
     both = [
         {"random": rising, "queue": rising},
         {"random": rising, "queue": [[0.3, 0.9, 1, 1]] * 2},
     ]
-    found = laboratories.labels_needed(both, "random")
+    found = laboratory_labels.labels_needed(both, "random")
     assert found["labels"]["queue"] == pytest.approx(2.5 * batch)
     assert found["share"] == pytest.approx(125 / 200)
 

@@ -14,13 +14,12 @@ import io
 import json
 import shutil
 import sys
-import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -36,18 +35,10 @@ from tests.bench.figures import DATA, Figure, at_least, at_most, figure, stated
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import EmulatedBench, Session, SimulatedBenchChoice, simulated_session
 from touchdown.backend.cli.command_line import main as command_line
-from touchdown.backend.config import (
-    SimulationSettings,
-    StabilitySettings,
-    StackSettings,
-    TrainingSettings,
-    load_simulation,
-)
+from touchdown.backend.config import SimulationSettings, StackSettings, load_simulation
 from touchdown.backend.core import FaultError, InputError, Paused, write_atomically
-from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows
 from touchdown.backend.experiments import KINDS
-from touchdown.backend.experiments.document import curves_chart
-from touchdown.backend.geometry import face_points, load_pieces, true_patch
+from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import (
     Recordings,
     identify_bench,
@@ -56,12 +47,8 @@ from touchdown.backend.identification import (
 )
 from touchdown.backend.identification.stages import Gate, replay_gate
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
-from touchdown.backend.learning import load_checkpoint, stable_flags, use_one_thread
+from touchdown.backend.learning import use_one_thread
 from touchdown.backend.learning.fused import load_fused
-from touchdown.backend.learning.inference import modality_columns
-from touchdown.backend.learning.metrics import CONTACT_LEVEL, iou
-from touchdown.backend.learning.training import Trainer, load_network, predict
-from touchdown.backend.placement import label_review, shipped_model
 from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
 
 # Setting: low, high, and whether the logarithm is uniform
@@ -269,7 +256,7 @@ def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str
 FOLDER = Path("output/laboratories")
 # Files in docs/results
 HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
-LOSSES, COMES_BACK, ACTIVE = "laboratory-losses", "comes-back", "labels-saved"
+LOSSES, COMES_BACK = "laboratory-losses", "comes-back"
 MANY = 300  # presses
 LOST = 10.0  # points of success; less is no loss that could come back
 
@@ -356,27 +343,6 @@ def success_that_comes_back() -> list[Figure]:
     return figures
 
 
-@figure("identification")
-def labels_saved() -> list[Figure]:
-    """Count the labels of the queue in the laboratories in docs/results that learn from labels."""
-    curves = [one["curves"] for one in stored_results(ACTIVE) if "queue" in one["curves"]]
-    if not curves:
-        raise InputError("There is no result.", ACTIVE, "Run --active first.")
-    figures = []
-    for usual, of in (("single", "single probes"), ("random", "random grips")):
-        found, must = labels_needed(curves, usual), usual == "single"
-        share, (low, high) = found["share"], found["interval"]
-        ends = ", ".join(f"{np.mean(one[usual], axis=0)[-1]:.3f}" for one in curves)
-        figures.append(Figure(
-            f"labels for equal IoU, queue against {of}, hidden laboratories ({len(curves)})",
-            100 * share if share else "not reached", "%" if share else "",
-            "<= 85" if must else "stated", share is not None and share <= 0.85 if must else None,
-            f"IoU after {MOST[usual]} labels of {of}: {ends}"
-            + (f"; 95 %: {100 * low:.1f} to {100 * high:.1f} %" if high else ""),
-        ))  # fmt: skip
-    return figures
-
-
 def interval_by_laboratory(part: list[dict[str, Any]]) -> NDArray[np.float64]:
     """Return the 95 % interval of the pooled share in percent; one place: that of its trials."""
     if len(part) == 1:
@@ -412,67 +378,7 @@ def identification_time() -> list[Figure]:
     return [at_most(f"identify, {MANY} presses, one core", minutes, "min", 20.0, note)]
 
 
-# Patch networks on probes of one laboratory: pot, small network, minutes of one core.
-CURVE_LABELS, REPEATS, SIMULATED_PROBES, POOL, TESTED = (0, 50, 200), 3, 3000, 400, 400
-SMALL = TrainingSettings(hidden=64, epochs=20, keep="last", patience=100)
-TUNING = SMALL.model_copy(update={"learning_rate": 3e-4, "epochs": 10, "batch": 32})
-ALONE = SMALL.model_copy(update={"epochs": 40, "batch": 16})
-MIXED = 400  # simulated probes beside the labelled ones of a fine-tuning
-KNOWN, UNSEEN = "circle15,circle25,square15", "short,long"
-LABORATORY_SEED, TEST_SEED = 31_000, 32_000
-# Active labelling: the shipped network, at the learning rate of ``train --from``.
-BATCH, ACTIVE_SEEDS = 25, 10  # batch: as the window offers it
-MOST = {"single": 150, "random": 100, "queue": 100}  # labels
-SHIPPED_TUNING = TrainingSettings(learning_rate=1e-4, batch=32, keep="last", patience=100)
-DRAWN_FROM, AVAILABLE = 2000, 1000  # probes of a laboratory; those of a seed that wait for a label
-LABEL_MM = 0.2  # error of a label of a person, as the page assumes it
-LEARNS = 0.05  # least gain of IoU by the labels of single probes
-
-
-def simulated_probes(bench: Path, count: int, seed: int, bottoms: str, *sizes: int) -> TrainingRows:
-    """Return ``count`` probes of the pot over each of ``bottoms``; ``sizes``: of grip, mounting."""
-    with tempfile.TemporaryDirectory() as name:
-        per_grip, per_mounting = sizes
-        words = ["simulate", "--piece", "pot", "--bottoms", bottoms, "--episodes", count, "--seed",
-                 seed, "--bench", bench, "--out", name, "--workers", 1, "--probes-per-grip",
-                 per_grip, "--grips-per-mounting", per_mounting, "--json"]  # fmt: skip
-        with redirect_stdout(io.StringIO()):
-            assert command_line(list(map(str, words))) == 0
-        return load_rows(Path(name))
-
-
-def trained(
-    rows: TrainingRows, settings: TrainingSettings, seed: int, start: Any = None, more: Any = None
-) -> Any:
-    """Return a network trained on ``rows``, from ``start`` if given, with some of ``more``."""
-    if more is not None:
-        chosen = np.random.default_rng(seed).choice(len(more), MIXED, replace=False)
-        rows = join_rows([rows, more.take(np.sort(chosen))])
-    # The last epoch counts, so that nothing is held out.
-    split = Split(np.arange(len(rows)), np.arange(8), "")
-    trainer = Trainer(rows, settings.model_copy(update={"seed": seed}), split=split)
-    if start is not None:
-        trainer.model.load_state_dict(start.state_dict())
-    for _ in trainer.epochs():
-        pass
-    return trainer.best_model()
-
-
-def patches(network: Any, rows: TrainingRows) -> Any:
-    """Return the probabilities (n, N) of contact."""
-    return predict(network, rows.inputs(np.arange(len(rows))), modality_columns("FT+Tac"))
-
-
-def tested(network: Any, rows: TrainingRows) -> dict[str, float]:
-    """Return IoU, and balanced accuracy of stability from one probe."""
-    probability, points = patches(network, rows), face_points(load_pieces().piece("pot").face)
-    said = stable_flags(probability > StabilitySettings().delta, points)
-    stable = stable_flags(rows.patch, points)
-    balanced = 0.5 * (np.mean(said[stable]) + np.mean(~said[~stable]))
-    return {
-        "iou": iou(probability > CONTACT_LEVEL, rows.patch),
-        "balanced_stability": float(balanced),
-    }
+KNOWN = "circle15,circle25,square15"  # bottoms of labelled probes
 
 
 def write_bench(file: Path, content: Mapping[str, Any]) -> Path:
@@ -484,169 +390,6 @@ def write_bench(file: Path, content: Mapping[str, Any]) -> Path:
             lines += [f"{key} = {json.dumps(v)}" for key, v in values.items()]
     file.write_text("\n".join(lines) + "\n")
     return file
-
-
-@cache
-def laboratory_probes(
-    seed: int, out: Path, count: int = POOL
-) -> tuple[Path, TrainingRows, TrainingRows]:
-    """Return the nominal bench, ``count`` labelled probes of the laboratory, and test probes."""
-    drawn, _ = draw_laboratory(seed, drivers=True)
-    content = drawn.model_dump(mode="json", exclude_none=True)
-    there = write_bench(out / f"laboratory-{seed}.toml", content)
-    pool = simulated_probes(there, count // 3 + 1, LABORATORY_SEED, KNOWN, 15, 3)
-    test = simulated_probes(there, TESTED // 2, TEST_SEED, UNSEEN, 5, 2)
-    return write_bench(out / "nominal.toml", {}), pool, test
-
-
-def learning_curves(seed: int, out: Path) -> dict[str, Any]:
-    """Test patch networks on one laboratory by the number of its labelled probes.
-
-    Simulation of the nominal and of the identified bench, the latter fine-tuned on labels and some
-    simulated probes, and labels alone. ``REPEATS`` draws of the labels and of what is mixed in.
-    """
-    use_one_thread()
-    nominal, pool, test = laboratory_probes(seed, out)
-    found = json.loads((out / f"laboratory-{seed}.json").read_text())
-    identified = write_bench(out / f"identified-{seed}.toml", found["bench"])
-    files = {"nominal": nominal, "identified": identified}
-    simulated = {name: simulated_probes(files[name], SIMULATED_PROBES // 3, 1, KNOWN, 10, 2)
-                 for name in ("nominal", "identified")}  # fmt: skip
-    start = {name: trained(some, SMALL, 0) for name, some in simulated.items()}
-    arms = {"nominal simulation": "nominal", "fine-tuned": "identified"}
-    rows = [{"arm": arm, "labels": 0, "repeat": 0, **tested(start[name], test)}
-            for arm, name in arms.items()]  # fmt: skip
-    for repeat in range(REPEATS):
-        order = np.random.default_rng(repeat).permutation(len(pool))
-        for labels in CURVE_LABELS[1:]:
-            own = pool.take(order[:labels])
-            tuned = trained(own, TUNING, repeat, start["identified"], simulated["identified"])
-            alone = trained(own, ALONE, repeat)
-            both = {"fine-tuned": tuned, "laboratory alone": alone}
-            rows += [{"arm": arm, "labels": labels, "repeat": repeat, **tested(network, test)}
-                     for arm, network in both.items()]  # fmt: skip
-    return {"laboratory": seed, "simulated_probes": SIMULATED_PROBES, "tested": len(test),
-            "repeats": REPEATS, "rows": rows}  # fmt: skip
-
-
-def curve_pictures(found: Mapping[str, Any]) -> dict[str, str]:
-    """Return the learning curves as SVG, by name of the quantity."""
-    pictures = {}
-    for quantity, title in (("iou", "IoU"), ("balanced_stability", "balanced stability")):
-        curves = {
-            arm: np.array([
-                np.mean([r[quantity] for r in found["rows"] if (r["arm"], r["labels"]) == (arm, n)]
-                        or [np.nan]) for n in CURVE_LABELS])
-            for arm in ("nominal simulation", "fine-tuned", "laboratory alone")
-        }  # fmt: skip
-        constant = curves["nominal simulation"]
-        constant[:] = constant[0]
-        labels = np.array(CURVE_LABELS, float)
-        pictures[quantity] = curves_chart(title, labels, curves, ("labelled probes", ""))
-    return pictures
-
-
-def active_labelling(seed: int, out: Path) -> dict[str, Any]:
-    """Count the labels for equal IoU, in the order of the queue and in random order.
-
-    Each seed draws ``AVAILABLE`` probes of the laboratory. Labels have an error of ``LABEL_MM``.
-    ``single``: in random order, for their probe alone. ``random`` and ``queue``: each corrects its
-    grip, and the next one is a random probe without a label, or the next of the queue. The shipped
-    network is fine-tuned on all labelled probes after every ``BATCH`` labels, and the queue ordered
-    again. Without a gain of ``LEARNS`` by ``single``, the others are left out.
-    """
-    use_one_thread()
-    folder = out / "orders"
-    folder.mkdir(parents=True, exist_ok=True)
-    shipped = load_network(load_checkpoint(shipped_model("pot")))
-
-    def curve(way: str, one: int) -> list[list[float]]:
-        _, pool, test = laboratory_probes(seed, folder, DRAWN_FROM)
-        rows = pool.take(np.random.default_rng([seed, one]).permutation(len(pool))[:AVAILABLE])
-        errors = LABEL_MM * np.random.default_rng([seed, one, 1]).standard_normal((len(rows), 2))
-        known, found = dict[int, int](), [[0.0, tested(shipped, test)["iou"]]]
-        grips = np.array(rows.grip_id)
-        for _ in range(0, MOST[way], BATCH):
-            order = next_batch(rows, known) if way == "queue" else range(len(rows))
-            for _ in range(BATCH):
-                k = next(k for k in order if k not in known)
-                same = [k] if way == "single" else np.flatnonzero(grips == grips[k]).tolist()
-                known |= dict.fromkeys(same, k)
-            network = trained(given_labels(rows, known, errors), SHIPPED_TUNING, one, shipped)
-            found.append([float(len(known)), tested(network, test)["iou"]])
-        return found
-
-    def curves(way: str) -> list[list[list[float]]]:
-        return [
-            kept(folder / f"{seed}-{way}-{one}.json", partial(curve, way, one))
-            for one in range(ACTIVE_SEEDS)
-        ]
-
-    lines = {"single": np.array(curves("single"))}
-    gain = float(np.mean(lines["single"][:, -1, 1] - lines["single"][:, 0, 1]))
-    if gain >= LEARNS:
-        lines |= {way: np.array(curves(way)) for way in ("random", "queue")}
-    found = {way: line[:, :, 1].tolist() for way, line in lines.items()}
-    labelled = {way: line[:, :, 0].mean(axis=0).tolist() for way, line in lines.items()}
-    ways = ("single", "random") if "queue" in found else ()
-    shares = {f"against_{way}": labels_needed([found], way) for way in ways}
-    return {"seed": seed, "batch": BATCH, "seeds": ACTIVE_SEEDS, "available": AVAILABLE,
-            "random_order_gains": gain, "curves": found, "labelled_probes": labelled,
-            **shares}  # fmt: skip
-
-
-def given_labels(
-    rows: TrainingRows, known: Mapping[int, int], errors: NDArray[np.float64]
-) -> TrainingRows:
-    """Return the probes ``known`` with the error of the label by which each is known."""
-    pieces, index = load_pieces(), np.array(sorted(known))
-    given, points = rows.take(index), face_points(pieces.piece("pot").face)
-    offset_mm = given.offset_mm + errors[[known[k] for k in index.tolist()]]
-    patch = np.stack([
-        true_patch(points, at_mm, pieces.bottom(name).upper)
-        for at_mm, name in zip(offset_mm, given.bottom, strict=True)
-    ])  # fmt: skip
-    return replace(given, offset_mm=offset_mm, patch=patch)
-
-
-def next_batch(rows: TrainingRows, known: Collection[int]) -> list[int]:
-    """Return the first probes of the queue *Most to learn*."""
-    signals = rows.observation[:, label_review.COMPARED_TICKS]
-    return label_review.training_order(signals, rows.grip_id, known, BATCH)
-
-
-def labels_needed(laboratories: list[dict[str, list[list[float]]]], usual: str) -> dict[str, Any]:
-    """Return the labels by which the queue and ``usual`` reach the IoU of ``usual`` at the end.
-
-    The target is the mean over seeds; a curve counts as its running maximum, between labels by
-    interpolation. ``share``: labels of the queue over those of ``usual``, each summed over the
-    laboratories; None if the queue does not reach a target. The interval is a bootstrap over
-    seeds, in which a draw that does not reach it counts as infinite.
-    """
-    lines = [{way: np.array(found) for way, found in one.items()} for one in laboratories]
-    rng = np.random.default_rng(0)
-
-    def needed(*, draw: bool) -> dict[str, float]:
-        total = {usual: 0.0, "queue": 0.0}
-        for line in lines:
-            count = len(line[usual])
-            rows = rng.integers(count, size=count) if draw else np.arange(count)
-            target = line[usual][rows, -1].mean()
-            for way in total:
-                mean = np.maximum.accumulate(line[way][rows].mean(axis=0))
-                at = np.arange(len(mean))  # the small slope makes a plateau end where it begins
-                total[way] += BATCH * np.interp(target, mean + 1e-12 * at, at, right=np.inf)
-        return total
-
-    whole = needed(draw=False)
-    drawn = [needed(draw=True) for _ in range(2000)]
-    shares = np.array([one["queue"] / max(one[usual], 1.0) for one in drawn])
-    low, high = np.quantile(shares, [0.025, 0.975], method="inverted_cdf").tolist()
-    whole |= {"share": whole["queue"] / max(whole[usual], 1.0), "low": low, "high": high}
-    finite = {key: float(value) if np.isfinite(value) else None for key, value in whole.items()}
-    return {"labels": {way: finite[way] for way in (usual, "queue")}, "share": finite["share"],
-            "interval": [finite["low"], finite["high"]],
-            "draws_that_reach": float(np.isfinite(shares).mean())}  # fmt: skip
 
 
 RECOVERY_SEED = 48_000_000
@@ -852,10 +595,6 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=FOLDER, metavar="FOLDER")
     parser.add_argument("--drivers", action="store_true", help="record on the emulated bench")
-    parser.add_argument("--curves", type=int, metavar="SEED", help="learning curves on a "
-                        "laboratory that was identified, into docs/results")  # fmt: skip
-    parser.add_argument("--active", type=int, nargs="+", default=[], metavar="SEED", help="labels "
-                        "saved by the queue, in each of these laboratories")  # fmt: skip
     parser.add_argument("--losses", action="store_true", help="only count the trials of the "
                         "shipped networks in the laboratories")  # fmt: skip
     parser.add_argument("--comes-back", metavar="PLACE", help="success after an adaptation to a "
@@ -863,19 +602,9 @@ def main() -> int:
     parser.add_argument("--trials", type=int, help="of each piece and bottom for --comes-back")
     parser.add_argument("--keep", action="store_true", help="keep the recordings, 100 MB each")
     args = parser.parse_args()
-    if args.curves is not None:
-        found = learning_curves(args.curves, args.out)
-        save_result("learning-curves", found)
-        for name, picture in curve_pictures(found).items():
-            write_atomically(DATA.parent / f"learning-curves-{name}.svg", picture.encode())
-        return 0
     if args.comes_back is not None:
         of = with_result(COMES_BACK, comes_back(args.comes_back, args.out, args.trials))
         save_result(COMES_BACK, {"of": of})
-        return 0
-    for seed in args.active:
-        save_result(ACTIVE, {"of": with_result(ACTIVE, active_labelling(seed, args.out))})
-    if args.active:
         return 0
     for seed in range(args.first, args.first + args.count):
         if args.losses:

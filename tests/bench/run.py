@@ -27,6 +27,7 @@ MODULES = tuple(
     for name in (
         "throughput", "window", "experiments", "dataset", "labelling", "arm", "rig",
         "device_faults", "wired", "campaign", "worker_faults", "machinery", "laboratories",
+        "laboratory_labels",
     )
 )  # fmt: skip
 

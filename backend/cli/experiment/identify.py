@@ -91,6 +91,7 @@ def _publish(store: JobStore, spec: JobSpec, out: Path) -> dict[str, Any]:
         store.root.rmdir()
     paths = {"report": str(out.with_suffix(".html")), "figures": str(out.with_suffix(".json"))}
     bench = str(out) if answer.get("accepted") else None
+    paths["earlier"] = str(out) if bench is None and out.is_file() else ""
     return {**answer, "dataset": spec.params["dataset"], "bench": bench, **paths}
 
 
@@ -106,5 +107,9 @@ def _show(found: dict[str, Any], screen: VerbOutput) -> None:
     title = f"Identified bench of {found['dataset']}"
     screen.table(title, header, *rows, right=("value", "standard uncertainty"))
     screen.say(found["reason"])
+    for verdict in found["verdicts"]:
+        screen.say(verdict)
     bench = f"Bench file: {found['bench']}." if found["accepted"] else ""
+    if found["earlier"]:
+        bench = f"{found['earlier']} is the bench file of an earlier identification."
     screen.say(f"Report: {found['report']}. {bench}")

@@ -876,4 +876,10 @@ def test_several_datasets_are_identified_as_jobs(tmp_path, monkeypatch, capsys):
     assert (a["bench"], b["bench"]) == (str(out / "a.toml"), None)
     assert a["estimates"]["grasp.shear_n_mm"] == [5.0, 0.2, "N/mm"]
     assert a["use"]["grasp.shear_n_mm"] == "yes"
+    # A refused bench leaves the bench file of an earlier identification, and says so.
+    made["a"] = made_identification(1.4)
+    assert main([word for word in words if word != "--json"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{out / 'a.toml'} is the bench file of an earlier identification." in said
+    assert said.count("1 Sensors at rest.") == 2
     assert main([*words[:3], "--out", str(tmp_path / "one.toml")]) == 2

@@ -25,8 +25,8 @@ TITLE = "Fit the simulated bench to this robot (Identify)"
 COLUMNS = ("parameter", "value", "standard uncertainty", "goes into the file")
 ABOUT = (
     "Finds the values with which the simulated bench predicts recorded presses best. Nothing moves "
-    "here. The presses are recorded in a terminal, as Collect has no such plans: touchdown collect "
-    "--plan rest, --plan gel, --plan contact. Write bench file offers to restart with the result."
+    "here. Collect records the presses: choose the three recordings for Identify as its pattern, "
+    "one after the other. Write bench file offers to restart with the result."
 )
 CANCELLED = "Cancelled. Identify again to continue from the finished stages."
 END_MS = 2000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import cast, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from touchdown.app.shell import ACTIVE_STATES, is_pressing, start_obstacle
 from touchdown.backend import runs
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.bench import Session
+from touchdown.backend.config import RecordingPlan
 from touchdown.backend.core import EpisodeDecision, HandOverAwaited, MountingAwaited
 from touchdown.widgets.base import count_noun, tr
 from touchdown.widgets.forms import ProbeText, TargetButtons, TargetForm
@@ -157,14 +158,23 @@ def campaign_obstacle(bench: Session | None, now: CampaignState) -> str:
     return "" if now.dataset.writable else tr("The dataset is open for reading only")
 
 
+TAKEN_OVER = {"grips_per_mounting", *runs.PRESS_OF_PLAN}
+
+
+def recording_plan(pattern: str) -> RecordingPlan | None:
+    """Return the recording plan of an entry of the field *Pattern*, None for a pattern."""
+    return None if pattern in get_args(runs.Pattern) else runs.read_plan(pattern)
+
+
 def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> runs.CollectRequest:
     """Return the request of a form. With ``campaign``, the plan of that campaign applies."""
+    plan = recording_plan(form.pattern)
     return runs.CollectRequest(
         piece=form.piece,
         bottom=form.bottom,
         count=form.count,
         seed=form.seed or runs.fresh_seed(),
-        pattern=cast("runs.Pattern", form.pattern),
+        pattern="random" if plan else cast("runs.Pattern", form.pattern),
         person=person,
         within_mm=form.within_mm or None,
         origin_mm=(form.origin_x_mm, form.origin_y_mm),
@@ -173,4 +183,5 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> run
         ask=form.ask,
         probes_per_grip=form.probes_per_grip or None,
         hand_over=form.hand_over,
+        **({} if plan is None else plan.model_dump(include=TAKEN_OVER)),
     )

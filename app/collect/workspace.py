@@ -14,6 +14,7 @@ from touchdown.app.collect.origin import OriginCheckNote
 from touchdown.app.collect.page import CollectPage
 from touchdown.app.collect.presenter import CollectPresenter
 from touchdown.app.collect.probes import SIGNALS
+from touchdown.app.collect.requests import recording_plan
 from touchdown.app.label import HalvesPage, LabelWorkspace
 from touchdown.backend.annotations import DESCRIPTION_FILE, Dataset
 from touchdown.backend.bench import Session
@@ -287,12 +288,22 @@ class CollectWorkspace(shell.Workspace):
         page.target.here.clicked.connect(presenter.set_origin_here)
         page.target.lift.clicked.connect(presenter.lift)
         page.target.pair_chosen.connect(presenter.choose_pair)
+        page.target.pattern.activated.connect(self._choose_plan)
         page.decided.connect(presenter.decide)
         page.dot_chosen.connect(presenter.probes.choose_dot)
         page.row_chosen.connect(presenter.probes.choose)
         page.filter_changed.connect(presenter.probes.restyle)
         page.take_in.clicked.connect(lambda: self._recording_sheet().present())
         shell.FileDrop(page, RECORDINGS, lambda path: self._recording_sheet().take(path))
+
+    def _choose_plan(self) -> None:
+        """Fill in the numbers of the recording plan that is chosen, and say what it needs."""
+        target = self.collect_page.target
+        form = target.form()
+        if plan := recording_plan(form.pattern):
+            numbers = {"count": plan.count, "probes_per_grip": plan.probes_per_grip}
+            target.show_form(replace(form, **numbers, within_mm=plan.within_mm or 0.0, ask=False))
+            self._context.say(tr("This recording needs: {}.", plan.note))
 
     def _commands(self) -> tuple[shell.WindowCommand, ...]:
         return (

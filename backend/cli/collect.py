@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
-from importlib.resources import files
 from pathlib import Path
 
 from touchdown.backend import core
@@ -13,9 +12,10 @@ from touchdown.backend.bench import Session
 from touchdown.backend.cli import connection
 from touchdown.backend.cli.dataset import dataset_to_fill
 from touchdown.backend.cli.output import VerbOutput, person_of
-from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings, read_settings
+from touchdown.backend.config import CollectSettings, RecordingPlan, StackSettings
 from touchdown.backend.episodes import Coverage, check_quality
 from touchdown.backend.runs import (
+    PRESS_OF_PLAN,
     CollectRequest,
     RecordingOptions,
     current_campaign,
@@ -25,6 +25,7 @@ from touchdown.backend.runs import (
     newest_campaign,
     read_campaign,
     read_examined_episodes,
+    read_plan,
 )
 
 BOTTOM = "circle15"
@@ -121,16 +122,12 @@ class _CollectionProgress(connection.RunProgress):
                 self.session.engine.cancel()
 
 
-PLANS = Path(str(files("touchdown.resources"))) / "recordings"
-
-
 def _plan(args: argparse.Namespace) -> RecordingPlan | None:
     """Return the recording plan; other arguments override its numbers of probes and grips."""
     if args.plan is None:
         args.count = 20 if args.count is None else args.count
         return None
-    shipped = PLANS / f"{args.plan}.toml"
-    plan = read_settings(RecordingPlan, shipped if shipped.is_file() else Path(args.plan))
+    plan = read_plan(args.plan)
     for name in ("count", "within_mm", "probes_per_grip", "grips_per_mounting"):
         if getattr(args, name) is None:
             setattr(args, name, getattr(plan, name))
@@ -161,9 +158,8 @@ def _request(args: argparse.Namespace, dataset: Dataset, person: str) -> Collect
     campaign = _campaign(args, dataset.folder)
     connection.fill_in_scene(args, BOTTOM)
     plan = _plan(args)
-    named = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}
     return CollectRequest(
-        **({} if plan is None else plan.model_dump(include=named)),
+        **({} if plan is None else plan.model_dump(include=PRESS_OF_PLAN)),
         piece=args.piece,
         bottom=args.bottom,
         count=args.count,

@@ -69,6 +69,7 @@ from .recorder import keep_photo as keep_photo
 from .recorder import models_folder as models_folder
 from .recorder import read_bookmarks as read_bookmarks
 from .requests import LEARNED as LEARNED
+from .requests import PRESS_OF_PLAN as PRESS_OF_PLAN
 from .requests import CalibrateRequest as CalibrateRequest
 from .requests import CollectRequest as CollectRequest
 from .requests import DecisionMode as DecisionMode
@@ -81,4 +82,5 @@ from .requests import SceneChoice as SceneChoice
 from .requests import SetRequest as SetRequest
 from .requests import StackRequest as StackRequest
 from .requests import StrategyChoice as StrategyChoice
+from .requests import read_plan as read_plan
 from .stack import certificate_status as certificate_status

@@ -7,10 +7,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
+from importlib.resources import files
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from touchdown.backend.calibration import CalibrationName
-from touchdown.backend.config import RecordingPlan, StackSettings, StrategyName, parse_settings
+from touchdown.backend.config import (
+    RecordingPlan,
+    StackSettings,
+    StrategyName,
+    parse_settings,
+    read_settings,
+)
 from touchdown.backend.core import InputError, PlaceAction
 
 StrategyChoice = Literal[
@@ -40,6 +48,14 @@ Pattern = Literal["random", "grid", "adaptive"]
 GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effect of a grip
 # Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
+# Settings of a recording plan that a request takes over; the window and arguments set the others.
+PRESS_OF_PLAN = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}
+
+
+def read_plan(name: str) -> RecordingPlan:
+    """Return the recording plan ``rest``, ``gel`` or ``contact``, or that of a TOML file."""
+    shipped = Path(str(files("touchdown.resources"))) / "recordings" / f"{name}.toml"
+    return read_settings(RecordingPlan, shipped if shipped.is_file() else Path(name))
 
 
 def _check_request(request: Any, **choices: Any) -> None:

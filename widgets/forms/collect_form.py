@@ -22,6 +22,9 @@ PATTERNS = (
     ("random", "Random, as in the paper"),
     ("grid", "Grid"),
     ("adaptive", "Adaptive: fill the gaps"),
+    ("rest", "Identify: at rest"),
+    ("gel", "Identify: arm and gel"),
+    ("contact", "Identify: slip"),
 )
 WIDEST_MM = 60.0
 NO_LIMIT = "any"
@@ -32,7 +35,7 @@ class TargetForm:
     """Settings of a campaign. ``within_mm`` 0: any displacement with enough overlap.
 
     ``probes_per_grip`` 0: automatic, so that the campaign has three grips or more; at most 50.
-    ``seed`` 0: a new one for each campaign.
+    ``seed`` 0: a new one for each campaign. ``pattern``: of the displacements, or a recording plan.
     """
 
     piece: str = "pot"
@@ -134,7 +137,7 @@ class TargetPanel(Panel):
             0,
             ("Piece", self.piece, "Piece to grasp, in its jig"),
             ("Bottom", self.bottom, "Body to press on; its outline is known", "Bottom or board"),
-            ("Pattern", self.pattern, "Pattern of the displacements"),
+            ("Pattern", self.pattern, "Pattern of the displacements, or a recording for Identify"),
             ("Person", self.person, "Your name; stored with every episode"),
         )
         x, y = self.origin

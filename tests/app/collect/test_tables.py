@@ -25,7 +25,7 @@ from touchdown.backend.episodes.quality import count_coverage
 from touchdown.backend.exchange import RecordedSignal
 from touchdown.backend.geometry.pieces import load_pieces
 from touchdown.backend.runs.requests import CollectRequest, RunState
-from touchdown.widgets.forms.collect_form import TargetForm
+from touchdown.widgets.forms.collect_form import PATTERNS, TargetForm
 from touchdown.widgets.plots.distribution import NEAR_PX
 from touchdown.widgets.shell.fault_cards import CardQuestion, CardText
 
@@ -52,6 +52,27 @@ def test_start_hands_over_the_form_and_the_dataset(page):
     assert page.bench.dataset is page.presenter.dataset
     page.press(KEY.Key_F5)
     assert len(page.bench.started) == 1
+
+
+def test_a_recording_for_identify_is_chosen_as_pattern(page):
+    target = page.view.target
+    target.pattern.setCurrentIndex(target.pattern.findData("contact"))
+    target.pattern.activated.emit(target.pattern.currentIndex())
+    assert (target.count.value(), target.per_grip.value(), target.within.value()) == (4, 1, 2.0)
+    target.count.setValue(6)
+    page.press(KEY.Key_F5)
+    (request,) = page.bench.started
+    assert request == CollectRequest(
+        "pot", "circle15", 6, request.seed, "random", "Ann", 2.0, probes_per_grip=1,
+        grips_per_mounting=4, stage="contact", depth_mm=1.9, ramp_fraction=0.6, grip_force_n=4.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("plan", ["rest", "gel", "contact"])
+def test_every_recording_for_identify_is_a_pattern_of_the_form(plan):
+    found = collect_request(TargetForm(pattern=plan), "Ann")
+    assert (found.stage, found.pattern) == (plan, "random")
+    assert plan in dict(PATTERNS)
 
 
 def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):

@@ -301,8 +301,10 @@ class CollectWorkspace(shell.Workspace):
         target = self.collect_page.target
         form = target.form()
         if plan := recording_plan(form.pattern):
-            numbers = {"count": plan.count, "probes_per_grip": plan.probes_per_grip}
-            target.show_form(replace(form, **numbers, within_mm=plan.within_mm or 0.0, ask=False))
+            within_mm, per_grip = plan.within_mm or 0.0, plan.probes_per_grip
+            target.show_form(replace(
+                form, count=plan.count, probes_per_grip=per_grip, within_mm=within_mm, ask=False
+            ))  # fmt: skip
             self._context.say(tr("This recording needs: {}.", plan.note))
 
     def _commands(self) -> tuple[shell.WindowCommand, ...]:

@@ -183,5 +183,5 @@ def collect_request(form: TargetForm, person: str, *, campaign: str = "") -> run
         ask=form.ask,
         probes_per_grip=form.probes_per_grip or None,
         hand_over=form.hand_over,
-        **({} if plan is None else plan.model_dump(include=TAKEN_OVER)),
+        **({} if plan is None or campaign else plan.model_dump(include=TAKEN_OVER)),
     )

@@ -73,6 +73,9 @@ def test_every_recording_for_identify_is_a_pattern_of_the_form(plan):
     found = collect_request(TargetForm(pattern=plan), "Ann")
     assert (found.stage, found.pattern) == (plan, "random")
     assert plan in dict(PATTERNS)
+    # A campaign that continues keeps the recording it was begun with.
+    again = collect_request(TargetForm(pattern=plan), "Ann", campaign="c")
+    assert (again.stage, again.grips_per_mounting, again.pattern) == ("", None, "random")
 
 
 def test_the_dataset_is_shown_before_anybody_is_named(unnamed, qtbot):

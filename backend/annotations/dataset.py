@@ -18,7 +18,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import core
 from touchdown.backend.annotations import episode_index, operation_log, queues, reconciliation
 from touchdown.backend.annotations.agreement import AgreementReport, compare_labellers
 from touchdown.backend.annotations.backups import BackupStore
@@ -69,6 +68,16 @@ from touchdown.backend.annotations.values import (
     Source,
     follow_uuid,
     uuid7,
+)
+from touchdown.backend.core import (
+    Episode,
+    FaultError,
+    InputError,
+    RefusedError,
+    disk_errors,
+    parse_json,
+    program_stamp,
+    write_atomically,
 )
 from touchdown.backend.episodes import (
     CompressedEpisode,
@@ -211,7 +220,7 @@ class Dataset:
         is_there = (folder / DESCRIPTION_FILE).is_file()
         if not is_there and not (create and write):
             fix = "Collect probes first, or name the folder that holds dataset.json."
-            raise core.InputError("There is no dataset.", str(folder), fix)
+            raise InputError("There is no dataset.", str(folder), fix)
         lock = WriterLock.take(folder, person) if write else None
         try:
             description = _describe(folder) if write else read_description(folder)
@@ -304,7 +313,7 @@ class Dataset:
         try:
             make()
             self.backup_trouble = ""
-        except core.FaultError as error:
+        except FaultError as error:
             self.backup_trouble = str(error)
 
     def back_up_for(self, reason: str) -> Path | None:
@@ -322,7 +331,7 @@ class Dataset:
 
     def record(
         self,
-        episode: core.Episode,
+        episode: Episode,
         label: Label,
         *,
         source: Source,
@@ -353,9 +362,7 @@ class Dataset:
         """Return one entry; raises ``InputError`` if there is no such episode."""
         found = self.entries([uuid])
         if not found:
-            raise core.InputError(
-                "There is no such episode.", uuid, "List the episodes of the dataset."
-            )
+            raise InputError("There is no such episode.", uuid, "List the episodes of the dataset.")
         return found[uuid]
 
     def entries(self, uuids: Iterable[str]) -> dict[str, EpisodeEntry]:
@@ -374,7 +381,7 @@ class Dataset:
         """Return the file of an episode, or the pack that contains it."""
         return self.folder / self.entry(uuid).path
 
-    def read(self, uuid: str) -> core.Episode:
+    def read(self, uuid: str) -> Episode:
         """Read the signals of an episode.
 
         Parameters
@@ -401,7 +408,7 @@ class Dataset:
         packed = self._packed(uuid)
         return without_images(packed) if packed else read_compressed_episode(self.path(uuid))
 
-    def _packed(self, uuid: str) -> core.Episode | None:
+    def _packed(self, uuid: str) -> Episode | None:
         path = self.path(uuid)
         sql = "SELECT chunk_off, chunk_len FROM episode WHERE uuid = ?"
         offset, length = self.database.one(sql, (uuid,))
@@ -468,18 +475,18 @@ class Dataset:
         """
         name = check_person(person)
         if other.resolve() == self.folder.resolve():
-            raise core.InputError("This is the dataset itself.", str(other), "Name a copy of it.")
+            raise InputError("This is the dataset itself.", str(other), "Name a copy of it.")
         with Dataset.open(other, create=False, write=False) as theirs:
             if theirs.description.uuid != self.description.uuid:
                 what = "This is another dataset, not a copy of the same one."
                 fix = "Merge copies of one dataset; import other data."
-                raise core.InputError(what, str(other), fix)
+                raise InputError(what, str(other), fix)
             self._back_up(partial(self.backups.if_changed, "merge"))
             paths = [path for (path,) in theirs.database.rows("SELECT DISTINCT path FROM episode")]
             try:
                 missing = reconciliation.copy_files(self.folder, other, paths)
             except OSError as error:
-                raise core.FaultError(reconciliation.copy_fault(error, self.folder)) from error
+                raise FaultError(reconciliation.copy_fault(error, self.folder)) from error
             with theirs.database.reading() as connection:
                 log = operation_log.read_operations(connection)
             with self.labels.commit() as connection:
@@ -504,7 +511,7 @@ class Dataset:
     def close(self) -> None:
         """Back up, close the catalogue and release the lock. A second call has no effect."""
         if self._lock is not None:
-            with suppress(core.FaultError, core.RefusedError, sqlite3.Error):
+            with suppress(FaultError, RefusedError, sqlite3.Error):
                 self._back_up(partial(self.backups.if_changed, "close"))
                 # Without it the next opening checks every folder.
                 self._checked.keep(self.database)
@@ -525,7 +532,7 @@ def _describe(folder: Path) -> DatasetDescription:
     home = f"{socket.gethostname()}:{folder.resolve()}"
     path = folder / DESCRIPTION_FILE
     if not path.is_file():
-        found = DatasetDescription(uuid7(), uuid7(), home, SCHEMA_VERSION, core.program_stamp())
+        found = DatasetDescription(uuid7(), uuid7(), home, SCHEMA_VERSION, program_stamp())
     else:
         found = read_description(folder)
         if found.home == home or found.is_newer:
@@ -535,8 +542,8 @@ def _describe(folder: Path) -> DatasetDescription:
     frames = {"O": "bottom face", "F": "grasped face"}
     content |= {"units": {"length": "um", "angle": "mdeg", "time": "ns"}, "frames": frames}
     fix = "Free some space, or name a folder that can be written."
-    with core.disk_errors("The dataset cannot be written", path, fix):
-        core.write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
+    with disk_errors("The dataset cannot be written", path, fix):
+        write_atomically(path, json.dumps(content, indent=2).encode("utf-8"))
     return found
 
 
@@ -544,7 +551,7 @@ def read_description(folder: Path) -> DatasetDescription:
     """Read ``dataset.json``; raises ``InputError`` if it cannot be read."""
     path = folder / DESCRIPTION_FILE
     try:
-        content = core.parse_json(path.read_bytes())
+        content = parse_json(path.read_bytes())
         facts = {name: content[name] for name in DatasetDescription.__slots__}
         version = facts.pop("schema_version")
         if type(version) is not int or not all(isinstance(v, str) for v in facts.values()):
@@ -552,7 +559,7 @@ def read_description(folder: Path) -> DatasetDescription:
         return DatasetDescription(**facts, schema_version=version)
     except (OSError, ValueError, KeyError, TypeError) as error:
         what, fix = "The description of the dataset cannot be read.", "Restore it from a copy."
-        raise core.InputError(what, str(path), fix) from error
+        raise InputError(what, str(path), fix) from error
 
 
 Progress = Callable[[int, int], bool]  # called with (done, total) after each episode; False stops
@@ -581,7 +588,7 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
             found.append(QualityIssue("unreadable", (entry.uuid,), f"Its file {loss}."))
     for entry, seen in iter_observations(dataset, entries):
         examined += 1
-        if isinstance(seen, core.InputError):
+        if isinstance(seen, InputError):
             found.append(QualityIssue("unreadable", (entry.uuid,), seen.what))
         else:
             offset_mm = dataset.labels.head(entry.uuid).label.offset_mm
@@ -599,14 +606,14 @@ def check_dataset_quality(dataset: Dataset, progress: Progress) -> QualityReport
 
 def iter_observations(
     dataset: Dataset, entries: Iterable[EpisodeEntry]
-) -> Iterator[tuple[EpisodeEntry, NDArray[np.float32] | core.InputError]]:
+) -> Iterator[tuple[EpisodeEntry, NDArray[np.float32] | InputError]]:
     """Yield the observation (20, 258) of each episode, or the error if it cannot be read."""
     sql = "SELECT uuid, chunk_off, chunk_len FROM episode WHERE chunk_off IS NOT NULL"
     chunks = {uuid: (offset, length) for uuid, offset, length in dataset.database.rows(sql)}
     for entry in entries:
         try:
             yield entry, stored_observation(dataset.folder / entry.path, chunks.get(entry.uuid))
-        except core.InputError as error:
+        except InputError as error:
             yield entry, error
 
 

@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from touchdown.backend import config
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import CalibrationStore
+from touchdown.backend.config import (
+    PRESETS,
+    BenchDescription,
+    BenchIdentity,
+    SimulationSettings,
+    StackSettings,
+    bench_sha256,
+    describe_simulation,
+    load_simulation,
+)
 from touchdown.backend.core import InputError, Pose, RawStreams, program_version
 from touchdown.backend.emulation import parse_script
 from touchdown.backend.geometry import (
@@ -63,9 +72,9 @@ class SimulatedBenchChoice:
     preset: str | None = None
     disturbances: tuple[str, ...] = ()
     pieces: Path | None = None
-    given: config.SimulationSettings | None = None
+    given: SimulationSettings | None = None
 
-    def settings(self) -> config.SimulationSettings:
+    def settings(self) -> SimulationSettings:
         """Return the settings; raises ``InputError``."""
         if self.given is not None:
             return self.given
@@ -73,12 +82,12 @@ class SimulatedBenchChoice:
             if self.preset is not None:
                 fix = "Give one of them."
                 raise InputError("A settings file and a preset were both given.", "--preset", fix)
-            return config.load_simulation(self.file)
+            return load_simulation(self.file)
         name = self.preset or "mixed"
-        if name not in config.PRESETS:
-            fix = f"Choose one of {', '.join(config.PRESETS)}."
+        if name not in PRESETS:
+            fix = f"Choose one of {', '.join(PRESETS)}."
             raise InputError(f"There is no preset '{name}'.", "--preset", fix)
-        return config.SimulationSettings.model_validate({"preset": name})
+        return SimulationSettings.model_validate({"preset": name})
 
 
 @dataclass
@@ -128,7 +137,7 @@ class BenchModels:
     """
 
     def __init__(
-        self, registry: ModelRegistry | None, description: config.BenchDescription, grid_mm: float
+        self, registry: ModelRegistry | None, description: BenchDescription, grid_mm: float
     ) -> None:
         self._registry, self._description, self._grid_mm = registry, description, grid_mm
         self.since_ns = 0  # earlier evaluations on hardware do not count
@@ -227,9 +236,7 @@ def make_tower(
     raise InputError(f"'{piece.name}' cannot stand on it.", "+".join(names), fix)
 
 
-def make_scene(
-    catalogue: PieceLibrary, choice: SceneChoice, settings: config.SimulationSettings
-) -> Scene:
+def make_scene(catalogue: PieceLibrary, choice: SceneChoice, settings: SimulationSettings) -> Scene:
     """Return the scene of one trial; it depends on the choice and its seed only."""
     seed = choice.seed
     if seed < 0:
@@ -258,7 +265,7 @@ def simulated_session(
     choice: SimulatedBenchChoice | None = None,
     *,
     keep: RecordingOptions | None = None,
-    method: config.StackSettings | None = None,
+    method: StackSettings | None = None,
     animate: bool = False,
     estimate: Callable[[SimulatedBench], PatchEstimator] | None = None,
     registry: ModelRegistry | None = None,
@@ -278,8 +285,8 @@ def simulated_session(
     settings, disturbances = choice.settings(), choice.disturbances
     script = parse_script(disturbances)
     catalogue = load_pieces(choice.pieces)
-    method = method or config.StackSettings()
-    description = config.describe_simulation(settings)
+    method = method or StackSettings()
+    description = describe_simulation(settings)
     models = BenchModels(registry, description, method.belief.pitch_mm)
 
     def make_stage(choice: SceneChoice, raw: RawStreams) -> SceneDevices:
@@ -319,16 +326,16 @@ def simulated_session(
         description=description,
     )
     if not disturbances:
-        session.identity = config.BenchIdentity(settings.preset, config.bench_sha256(settings))
+        session.identity = BenchIdentity(settings.preset, bench_sha256(settings))
     return session
 
 
 def simulated_bench(
     *,
     preset: str | None = None,
-    settings: config.SimulationSettings | Path | str | None = None,
+    settings: SimulationSettings | Path | str | None = None,
     disturbances: Sequence[str] = (),
-    method: config.StackSettings | None = None,
+    method: StackSettings | None = None,
     pieces: Path | str | None = None,
     runs: Path | str | None = None,
 ) -> Session:

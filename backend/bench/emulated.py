@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from touchdown.backend import config
 from touchdown.backend.bench import assembly
 from touchdown.backend.bench.emulated_child import EmulatedProcess
 from touchdown.backend.bench.emulated_scene import (
@@ -22,6 +21,12 @@ from touchdown.backend.bench.emulated_scene import (
 )
 from touchdown.backend.bench.session import Session
 from touchdown.backend.calibration import CalibrationStore
+from touchdown.backend.config import (
+    HardwareSettings,
+    StackSettings,
+    describe_simulation,
+    read_settings,
+)
 from touchdown.backend.core import BenchClock, Pose, RawStreams
 from touchdown.backend.emulation import FaultPlan
 from touchdown.backend.geometry import load_pieces
@@ -82,16 +87,16 @@ class EmulatedBench:
         choice: assembly.SimulatedBenchChoice | None = None,
         *,
         keep: RecordingOptions | None = None,
-        method: config.StackSettings | None = None,
+        method: StackSettings | None = None,
         registry: ModelRegistry | None = None,
         plan: FaultPlan | None = None,
     ) -> None:
         choice = choice or assembly.SimulatedBenchChoice()
         self._settings, self.plan = choice.settings(), plan or FaultPlan()
         self._pieces, self._catalogue = choice.pieces, load_pieces(choice.pieces)
-        self._method = method or config.StackSettings()
+        self._method = method or StackSettings()
         self._clock = BenchClock()
-        description = config.describe_simulation(self._settings)
+        description = describe_simulation(self._settings)
         self._models = assembly.BenchModels(registry, description, self._method.belief.pitch_mm)
         self._present = ExitStack()
         self._process = EmulatedProcess(lambda fault: self.session.interlock.raise_fault(fault))
@@ -153,7 +158,7 @@ class EmulatedBench:
                 choice, self._settings, self.plan, folder, self._pieces, cancelled
             )
             self._truth = truth = TruthClient(scene, address)
-            hardware = config.read_settings(config.HardwareSettings, folder / BENCH_FILE)
+            hardware = read_settings(HardwareSettings, folder / BENCH_FILE)
             now_s, interlock = self._clock.now_s, self.session.interlock
             self._wired = wired = BenchDevices(hardware, now_s, raw, interlock)
             stack.callback(wired.close)
@@ -194,7 +199,7 @@ def emulated_bench(
     *,
     preset: str | None = None,
     faults: FaultPlan | None = None,
-    method: config.StackSettings | None = None,
+    method: StackSettings | None = None,
     pieces: Path | str | None = None,
     runs: Path | str | None = None,
 ) -> Iterator[Session]:

@@ -18,10 +18,36 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from touchdown.backend import core, runs
 from touchdown.backend.annotations import Dataset
 from touchdown.backend.calibration import CalibrationStore, DayChecks, calibrated_positions
 from touchdown.backend.config import BenchDescription, BenchIdentity, Limits, StackSettings
+from touchdown.backend.core import (
+    FINGERS,
+    FRAME_CAPACITY,
+    SAMPLE_CAPACITY,
+    EpisodeDecision,
+    Event,
+    EventBus,
+    Fault,
+    FaultError,
+    FaultRaised,
+    FaultsReset,
+    Finger,
+    InputError,
+    MarkerField,
+    RawStreams,
+    Recording,
+    RefusedError,
+    RepaintHold,
+    RunFinished,
+    Said,
+    SampleStream,
+    Stream,
+    TactileFrame,
+    TrialFinished,
+    blocking_section,
+    data_folder,
+)
 from touchdown.backend.devices import (
     NAMES,
     DegradedDevice,
@@ -38,6 +64,42 @@ from touchdown.backend.learning import ModelCard
 from touchdown.backend.learning.fused import Guard, network_path, open_guard
 from touchdown.backend.placement import Estimator, SupportTower, load_network_of
 from touchdown.backend.rig import BenchConnection
+from touchdown.backend.runs import (
+    DEVICE_FAULTS,
+    SCENE_TIMEOUT_S,
+    Bench,
+    CancelledError,
+    DriftMonitor,
+    Engine,
+    FaultNotifier,
+    LiveThread,
+    ManualControl,
+    OperatorPrompt,
+    Plan,
+    RecordingOptions,
+    Request,
+    RunEnding,
+    RunRecorder,
+    RunStatus,
+    SceneCheck,
+    SceneChoice,
+    SceneDevices,
+    SceneFactory,
+    SetRequest,
+    UsedCalibrations,
+    calibration_metadata,
+    calibrations_for,
+    check_connected,
+    check_devices,
+    check_no_contact,
+    check_request,
+    connect_stop,
+    contact_height_mm,
+    latch_device_faults,
+    log_limit_change,
+    make_plan,
+    payload_wrench,
+)
 from touchdown.backend.sensing import STILL_S, LiveSensing, WrenchDrift
 
 LOSS_S = 1.5  # time to find all devices that were lost at once
@@ -73,10 +135,10 @@ class RunResult:
 
     """
 
-    trials: tuple[core.TrialFinished, ...] = ()
-    ending: runs.RunEnding = "finished"
+    trials: tuple[TrialFinished, ...] = ()
+    ending: RunEnding = "finished"
     reason: str = ""
-    faults: tuple[core.Fault, ...] = ()
+    faults: tuple[Fault, ...] = ()
     run_folder: Path | None = None
 
 
@@ -115,12 +177,12 @@ class Session:
 
     def __init__(
         self,
-        make_stage: runs.SceneFactory,
-        check: runs.SceneCheck,
+        make_stage: SceneFactory,
+        check: SceneCheck,
         catalogue: PieceLibrary,
         *,
         settings: StackSettings,
-        keep: runs.RecordingOptions,
+        keep: RecordingOptions,
         description: BenchDescription,
     ) -> None:
         self._make_stage, self._check = make_stage, check
@@ -133,46 +195,46 @@ class Session:
         self.run_id: str = ""  # of the last run
         self.mode: str = ""  # of the last run
         self.limits_source: str = "the program itself"
-        self.usual: runs.SceneChoice = runs.SceneChoice()
+        self.usual: SceneChoice = SceneChoice()
         self.resources: ExitStack[bool | None] = ExitStack()  # closed after everything else
         # Devices that outlive every scene, None if each scene has its own
         self.connection: BenchConnection | None = None
-        self.events: core.EventBus = core.EventBus()
+        self.events: EventBus = EventBus()
         self.interlock: Interlock = Interlock()
-        self.prompt: runs.OperatorPrompt = runs.OperatorPrompt()
+        self.prompt: OperatorPrompt = OperatorPrompt()
         # Holds repaints while a decision is computed.
-        self.repaint_hold: core.RepaintHold = core.RepaintHold()
-        self.decisions: deque[core.EpisodeDecision] = deque(maxlen=1)
+        self.repaint_hold: RepaintHold = RepaintHold()
+        self.decisions: deque[EpisodeDecision] = deque(maxlen=1)
         self.dataset: Dataset | None = None  # collected episodes; set only between runs
         self.calibrations: CalibrationStore | None = None  # set before the first scene
         # Folder of the states of guards; without kept runs no signals are compared
-        self._guards = None if keep.runs is None else core.data_folder() / "guards"
-        self._used: runs.UsedCalibrations = {}
-        self.raw: core.RawStreams = core.RawStreams.new()
-        self.frames: Mapping[core.Finger, core.Stream[core.TactileFrame]] = self.raw.frames
-        self.fields: Mapping[core.Finger, core.Stream[core.MarkerField]] = {
-            finger: core.Stream(f"markers_{finger}", core.FRAME_CAPACITY) for finger in core.FINGERS
+        self._guards = None if keep.runs is None else data_folder() / "guards"
+        self._used: UsedCalibrations = {}
+        self.raw: RawStreams = RawStreams.new()
+        self.frames: Mapping[Finger, Stream[TactileFrame]] = self.raw.frames
+        self.fields: Mapping[Finger, Stream[MarkerField]] = {
+            finger: Stream(f"markers_{finger}", FRAME_CAPACITY) for finger in FINGERS
         }
-        self.wrench: core.SampleStream = core.SampleStream("wrench", 6, core.SAMPLE_CAPACITY)
+        self.wrench: SampleStream = SampleStream("wrench", 6, SAMPLE_CAPACITY)
         self._supervision = Supervision(self.interlock, self.wrench, self.frames)
-        self.engine: runs.Engine = runs.Engine(
+        self.engine: Engine = Engine(
             self.events, self.interlock, self.clock_s, self._supervision.unwell
         )
         # Mode of recordings of a live bench
         self.live_mode: str = LIVE_MODES.get(description.mode, "lab")
-        self._keep, self._recorder = keep, runs.RunRecorder(keep, self.events, self.interlock)
-        self._teller = runs.FaultNotifier(self.events, self.interlock, self.clock_s)
-        self._scene: runs.Bench | None = None  # assigned after the three below
-        self._stage: runs.SceneDevices
-        self._hand: runs.ManualControl
-        self._drift: runs.DriftMonitor
+        self._keep, self._recorder = keep, RunRecorder(keep, self.events, self.interlock)
+        self._teller = FaultNotifier(self.events, self.interlock, self.clock_s)
+        self._scene: Bench | None = None  # assigned after the three below
+        self._stage: SceneDevices
+        self._hand: ManualControl
+        self._drift: DriftMonitor
         ended, still = self.engine.abandon, self._teller.tell_now
         # Whether a window shows pictures, and whether a live view serves them
         self.watched: bool = True
         self.served: bool = False
         self._step_us = STEP_US  # of the next advance
         self._owed_us = 0  # live time that the bench has not advanced yet
-        self._live = runs.LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
+        self._live = LiveThread(self._live_step, 1e-6 * STEP_US, ended, still)
 
     # -- for the window and for scripts -----------------------------------------------------------
 
@@ -199,7 +261,7 @@ class Session:
         return self._recorder.folder
 
     @property
-    def hand(self) -> runs.ManualControl | None:
+    def hand(self) -> ManualControl | None:
         """Manual control of the present scene, None before the first one."""
         return None if self._scene is None else self._hand
 
@@ -230,30 +292,30 @@ class Session:
         """Return the bench clock of the present scene."""
         return 0.0 if self._scene is None else self._scene.now_s()
 
-    def status(self) -> runs.RunStatus:
+    def status(self) -> RunStatus:
         """Return a snapshot of the engine."""
         return self.engine.status()
 
-    def start(self, request: runs.Request) -> None:
+    def start(self, request: Request) -> None:
         """Begin a run on the live bench; returns at once.
 
         Raises ``RefusedError`` while another run is in progress or after a stop.
         """
         self._refuse_busy()
         if self.interlock.recovering:
-            raise core.RefusedError("RECOVERY", "After a fault: jog away from contact first.")
-        if not isinstance(request, runs.SetRequest):
-            runs.check_no_contact(self.hand)
+            raise RefusedError("RECOVERY", "After a fault: jog away from contact first.")
+        if not isinstance(request, SetRequest):
+            check_no_contact(self.hand)
             refuse_degraded(self.degraded, self.clock_s())
             if self.hand is not None:
                 self.hand.refuse_turned()
                 if not self.hand.powered:
-                    raise core.RefusedError(
+                    raise RefusedError(
                         "SERVO-OFF", "The servo of the arm is off: switch it on first."
                     )
         self.engine.begin(self._plan(request))
 
-    def run(self, request: runs.Request) -> RunResult:
+    def run(self, request: Request) -> RunResult:
         """Run ``request`` to its end on the calling thread, as fast as the bench allows.
 
         A simulated bench is stepped as fast as it computes; devices take their own time.
@@ -284,15 +346,15 @@ class Session:
         if self.hand is not None and not self.simulated:
             self.hand.refuse_turned()
         plan = self._plan(request)
-        events: list[core.Event] = []
+        events: list[Event] = []
         # Other events hold episodes and maps; a long run would fill the memory with them.
-        kept = (core.TrialFinished, core.FaultRaised, core.RunFinished)
+        kept = (TrialFinished, FaultRaised, RunFinished)
         leave = self.events.subscribe(lambda e: events.append(e) if isinstance(e, kept) else None)
         also = ""
         try:
             self.engine.run(plan, self.advance)
         finally:
-            if {fault.code for fault in self.interlock.faults} & runs.DEVICE_FAULTS:
+            if {fault.code for fault in self.interlock.faults} & DEVICE_FAULTS:
                 # Devices lost at the same time are found within this time, and each is named.
                 until_s = self.clock_s() + LOSS_S
                 while self.clock_s() < until_s:
@@ -300,32 +362,30 @@ class Session:
                 also = self._later_faults(events)
             leave()
             self._recorder.close()
-        finished = next((e for e in reversed(events) if isinstance(e, core.RunFinished)), None)
-        trials = [e for e in events if isinstance(e, core.TrialFinished)]
+        finished = next((e for e in reversed(events) if isinstance(e, RunFinished)), None)
+        trials = [e for e in events if isinstance(e, TrialFinished)]
         if trials and also:
             trials[-1] = replace(trials[-1], reason=f"{trials[-1].reason}{also}")
         return RunResult(
             trials=tuple(trials),
             ending="finished" if finished is None else finished.ending,
             reason="" if finished is None else f"{finished.reason}{also}",
-            faults=tuple(e.fault for e in events if isinstance(e, core.FaultRaised)),
+            faults=tuple(e.fault for e in events if isinstance(e, FaultRaised)),
             run_folder=self.run_folder,
         )
 
-    def _later_faults(self, events: Sequence[core.Event]) -> str:
+    def _later_faults(self, events: Sequence[Event]) -> str:
         """Return and publish the devices with faults that the end of the run does not name."""
-        told = " ".join(
-            e.reason for e in events if isinstance(e, core.TrialFinished | core.RunFinished)
-        )
+        told = " ".join(e.reason for e in events if isinstance(e, TrialFinished | RunFinished))
         first, *later = (fault.device for fault in self.interlock.faults)
         names = (NAMES.get(device, device) for device in dict.fromkeys(later) if device != first)
         also = ", ".join(sorted(name for name in names if f"The {name} " not in told))
         if also:
             also = f" Also with a fault: {also}."
-            self.events.publish(core.Said(self.clock_s(), also.strip()))
+            self.events.publish(Said(self.clock_s(), also.strip()))
         return also
 
-    def check(self, request: runs.Request, *, connected: bool = False) -> None:
+    def check(self, request: Request, *, connected: bool = False) -> None:
         """Raise what ``run`` would raise for a request on the devices of a lab; nothing moves.
 
         Before the devices are connected everything but their calibrations is checked, afterwards
@@ -333,9 +393,9 @@ class Session:
         """
         if connected:
             refuse_beyond_gripper(self.method, self.devices.get("gripper"))
-            runs.calibrations_for(request, self.description.mode, self.calibrations, self.devices)
+            calibrations_for(request, self.description.mode, self.calibrations, self.devices)
             return
-        runs.check_request(request, self)
+        check_request(request, self)
         self._recorder.check()
 
     def stop(self) -> None:
@@ -345,17 +405,17 @@ class Session:
     def reset(self) -> None:
         """Clear latch and faults after the operator checked the bench; nothing moves."""
         self.interlock.reset()
-        self.events.publish(core.FaultsReset(self.clock_s()))
+        self.events.publish(FaultsReset(self.clock_s()))
 
     def answer(self, yes: bool) -> None:
         """Approve or decline the pending action."""
         self.prompt.answer(yes)
 
-    def decide(self, decision: core.EpisodeDecision) -> None:
+    def decide(self, decision: EpisodeDecision) -> None:
         """Keep, discard, redo, flag or skip the newest collected episode; never waits."""
         self.decisions.append(decision)
 
-    def prepare(self, choice: runs.SceneChoice) -> None:
+    def prepare(self, choice: SceneChoice) -> None:
         """Set a scene without starting a run, for a live view."""
         self._set_scene(choice)
 
@@ -384,9 +444,9 @@ class Session:
         if home:
             self.home_gripper()
             self.connection.wait()
-        runs.check_connected(self.connection)
+        check_connected(self.connection)
 
-    def recording(self, start_s: float, end_s: float) -> core.Recording | None:
+    def recording(self, start_s: float, end_s: float) -> Recording | None:
         """Return the signals between two bench times, None before the first scene."""
         return None if self._scene is None else self._scene.sensing.recording(start_s, end_s)
 
@@ -394,7 +454,7 @@ class Session:
         """Take the devices of lab ``name``, which outlive every scene, and connect STOP to them."""
         self.connection, self.name, self.limits_source = connection, name, source
         self.interlock.change_limits(limits, self.clock_s())
-        runs.connect_stop(connection, self.interlock)
+        connect_stop(connection, self.interlock)
 
     def leave_scene(self) -> None:
         """Block all motion until a scene is set again, before a device is disconnected."""
@@ -405,7 +465,7 @@ class Session:
         """Home the empty gripper; raises ``RefusedError``."""
         self._refuse_busy()
         if self.interlock.latched:
-            raise core.RefusedError("LATCHED", "The bench is stopped: press Reset first.")
+            raise RefusedError("LATCHED", "The bench is stopped: press Reset first.")
         if self.connection is not None:
             self.connection.home()
 
@@ -416,16 +476,16 @@ class Session:
         """
         self._refuse_busy()
         if self._keep.runs is not None:
-            runs.log_limit_change(self._keep.runs, self.name, person, self.interlock.limits, limits)
+            log_limit_change(self._keep.runs, self.name, person, self.interlock.limits, limits)
         self.interlock.change_limits(limits, self.clock_s())
-        self.events.publish(core.Said(self.clock_s(), f"Limits changed by {person}."))
+        self.events.publish(Said(self.clock_s(), f"Limits changed by {person}."))
 
     # -- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Advance the bench by one step and process the samples."""
         step_us, self._step_us = self._step_us, STEP_US
-        runs.latch_device_faults(self.devices.values(), self.interlock)
+        latch_device_faults(self.devices.values(), self.interlock)
         if (scene := self._scene) is not None:
             self._hand.tick()
             self._stage.advance(step_us)
@@ -478,19 +538,19 @@ class Session:
 
     def _refuse_busy(self) -> None:
         if self.engine.busy:
-            raise core.RefusedError("BUSY", "A run is in progress: cancel it first.")
+            raise RefusedError("BUSY", "A run is in progress: cancel it first.")
         if self.hand is not None and self.hand.active:
-            raise core.RefusedError("BY-HAND", "The bench is under manual control: end it first.")
+            raise RefusedError("BY-HAND", "The bench is under manual control: end it first.")
 
-    def _plan(self, request: runs.Request) -> runs.Plan[None]:
-        runs.check_devices(self.connection, request)
-        self._used = runs.calibrations_for(
+    def _plan(self, request: Request) -> Plan[None]:
+        check_devices(self.connection, request)
+        self._used = calibrations_for(
             request, self.description.mode, self.calibrations, self.devices
         )
         self.run_id = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")[:-3]
         simulated = self.live_mode == LIVE_MODES["simulated"]
         self.mode = "stepped" if simulated and not self._live.running else self.live_mode
-        return runs.make_plan(request, self)
+        return make_plan(request, self)
 
     # -- for plans --------------------------------------------------------------------------------
 
@@ -502,7 +562,7 @@ class Session:
         card = load_network_of(method.fused).card
         return open_guard(weights, card.weights_sha256, self.identity.sha256, self._guards)
 
-    def check_scene(self, choice: runs.SceneChoice) -> Mapping[str, object]:
+    def check_scene(self, choice: SceneChoice) -> Mapping[str, object]:
         """Return the settings a run on ``choice`` depends on, JSON-ready; raises ``InputError``."""
         refuse_beyond_limits(self.method, self.interlock.limits)
         refuse_beyond_gripper(self.method, self.devices.get("gripper"))
@@ -512,17 +572,17 @@ class Session:
         """Open event log and episode store of the run; raises ``InputError``."""
         self._recorder.open(self.run_id, self.live_mode, self.description.model_dump_json())
 
-    def set_scene(self, choice: runs.SceneChoice, method: StackSettings) -> runs.Bench:
+    def set_scene(self, choice: SceneChoice, method: StackSettings) -> Bench:
         """Build a new scene and return its bench for the run in progress."""
         return self._for_run(self._set_scene(choice, self._used), method)
 
-    def present_scene(self, method: StackSettings) -> runs.Bench:
+    def present_scene(self, method: StackSettings) -> Bench:
         """Return the bench of the present scene; raises ``RefusedError`` if there is none."""
         if self._scene is None:
-            raise core.RefusedError("NO-SCENE", "No scene is set on the bench yet.")
+            raise RefusedError("NO-SCENE", "No scene is set on the bench yet.")
         return self._for_run(self._scene, method)
 
-    def _for_run(self, scene: runs.Bench, method: StackSettings) -> runs.Bench:
+    def _for_run(self, scene: Bench, method: StackSettings) -> Bench:
         bottoms = [self.catalogue.bottom(name) for name in scene.bottom.split("+")]
         self.interlock.untested_release = self.simulated and method.strategy == "pick-and-place"
         self.interlock.renew_lease(scene.now_s())
@@ -531,19 +591,17 @@ class Session:
             scene,
             settings=method,
             store=self._recorder.store,
-            calibrations=runs.calibration_metadata(self._used),
+            calibrations=calibration_metadata(self._used),
             below=SupportTower.entered(scene.piece, bottoms, method.tower),
             placed=calibrated_positions(self._used),
         )
 
-    @core.blocking_section("sets the scene", runs.SCENE_TIMEOUT_S)
-    def _set_scene(
-        self, choice: runs.SceneChoice, used: runs.UsedCalibrations | None = None
-    ) -> runs.Bench:
+    @blocking_section("sets the scene", SCENE_TIMEOUT_S)
+    def _set_scene(self, choice: SceneChoice, used: UsedCalibrations | None = None) -> Bench:
         """Build the scene and start its sensors; ``used`` are the calibrations of the run."""
         self.interlock.forget_stoppers()
-        runs.connect_stop(self.connection, self.interlock)
-        for finger in core.FINGERS:
+        connect_stop(self.connection, self.interlock)
+        for finger in FINGERS:
             self.frames[finger].clear()
             self.fields[finger].clear()
         raw = self.raw
@@ -554,11 +612,11 @@ class Session:
             stage = self._make_stage(choice, raw)
             for device in stage.devices.values():
                 device.connect(5.0, cancelled)
-        except core.FaultError:
+        except FaultError:
             if cancelled.is_set():
-                raise runs.CancelledError("cancelled by the operator") from None
+                raise CancelledError("cancelled by the operator") from None
             raise
-        payload = runs.payload_wrench(self.calibrations, stage.devices, used)
+        payload = payload_wrench(self.calibrations, stage.devices, used)
         payload = stage.payload if payload is None else payload
         sensing = LiveSensing(raw, self.fields, self.wrench, payload)
         now_s = stage.clock.now_s
@@ -567,7 +625,7 @@ class Session:
             return sensing.press_n(now_s(), max_age_s=0.2)
 
         def surface_mm() -> float:
-            return runs.contact_height_mm(stage.piece, stage.bottom, self._used)
+            return contact_height_mm(stage.piece, stage.bottom, self._used)
 
         arm = GuardedArm(stage.arm, self.interlock, now_s, press_n, surface_mm)
         gripper = GuardedGripper(stage.gripper, self.interlock, now_s)
@@ -579,7 +637,7 @@ class Session:
         around = JogSurroundings(
             now_s, lease_clock_s, press_n, surface_mm, lambda: self.engine.busy
         )
-        scene = runs.Bench(
+        scene = Bench(
             **stage.facts(),
             now_s=now_s,
             arm=arm,
@@ -595,8 +653,8 @@ class Session:
             sensor_height_mm=self.description.sensor_height_mm,
             started_ns=time.time_ns() - round(1e9 * now_s()),
         )
-        self._hand = runs.ManualControl(scene, self.interlock, around, self.events.publish)
-        self._drift = runs.DriftMonitor(scene, surface_mm, self.events.publish)
+        self._hand = ManualControl(scene, self.interlock, around, self.events.publish)
+        self._drift = DriftMonitor(scene, surface_mm, self.events.publish)
         self._stage, self._scene = stage, scene
         self._supervision.begin(now_s(), gripper, stage.devices["force_torque"], arm)
         return scene
@@ -607,7 +665,7 @@ def refuse_beyond_gripper(method: StackSettings, gripper: Device | None) -> None
     most_n = math.inf if gripper is None else gripper.describe().get("most_force_n", math.inf)
     asked_n = method.probe.grip_force_n
     if not asked_n <= float(most_n):
-        raise core.InputError(
+        raise InputError(
             f"The method asks for {asked_n:g} N per finger, the gripper grips with up to "
             f"{most_n:g} N.",
             "probe.grip_force_n",
@@ -628,4 +686,4 @@ def refuse_beyond_limits(method: StackSettings, limits: Limits) -> None:
         if not value <= most:
             what = f"The method asks for {value:g} {unit}, the bench permits {most:g}."
             fix = f"Lower it, or raise limits.{limit} in the lab file."
-            raise core.InputError(what, f"probe.{key}", fix)
+            raise InputError(what, f"probe.{key}", fix)

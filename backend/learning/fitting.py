@@ -15,12 +15,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from touchdown.backend import core
 from touchdown.backend.annotations import LabelChoice, is_dataset, load_training_set
 from touchdown.backend.config import BenchDescription, StabilitySettings, TrainingSettings
+from touchdown.backend.core import (
+    FloatArray,
+    InputError,
+    errors_as_input,
+    program_version,
+    write_atomically,
+)
 from touchdown.backend.episodes import Split, TrainingRows, join_rows, load_rows, split_rows
 from touchdown.backend.geometry import face_points, load_pieces
-from touchdown.backend.learning import metrics, training
+from touchdown.backend.learning import training
 from touchdown.backend.learning.calibration import PatchCalibration, fit_calibration
 from touchdown.backend.learning.checkpoint import (
     Checkpoint,
@@ -30,6 +36,13 @@ from touchdown.backend.learning.checkpoint import (
     save_checkpoint,
 )
 from touchdown.backend.learning.inference import ARCH, modality_columns
+from touchdown.backend.learning.metrics import (
+    EvaluationScores,
+    bottom_figures,
+    choose_samples,
+    save_samples,
+    score,
+)
 from touchdown.backend.learning.training_data import (
     MANIFEST,
     only_simulated,
@@ -60,7 +73,7 @@ def evaluate(
     labels: LabelChoice = "approved",
     delta: float = StabilitySettings().delta,
     pieces: Path | str | None = None,
-) -> dict[str, metrics.EvaluationScores]:
+) -> dict[str, EvaluationScores]:
     """Measure a contact-patch model on labelled episodes; same as ``touchdown evaluate``.
 
     Parameters
@@ -96,7 +109,7 @@ def evaluate(
     """
     if not 0 <= delta < 1:
         what = f"No point has a probability above {delta}."
-        raise core.InputError(what, "--delta", "Give 0 to below 1.")
+        raise InputError(what, "--delta", "Give 0 to below 1.")
     checkpoint = model if isinstance(model, Checkpoint) else load_checkpoint(Path(model))
     piece = checkpoint.card.piece
     rows = data if isinstance(data, TrainingRows) else load_episodes(Path(data), piece, labels)
@@ -105,8 +118,8 @@ def evaluate(
 
 
 def evaluate_model(
-    checkpoint: Checkpoint, rows: TrainingRows, points_mm: core.FloatArray, delta: float
-) -> dict[str, metrics.EvaluationScores]:
+    checkpoint: Checkpoint, rows: TrainingRows, points_mm: FloatArray, delta: float
+) -> dict[str, EvaluationScores]:
     """Return the scores per bottom, and of every episode under "all".
 
     ``points_mm`` (N, 2) are the face points. Raises ``InputError`` if model and data belong to
@@ -118,8 +131,8 @@ def evaluate_model(
     probability = _predictions(checkpoint, rows)
     bottoms, mounting = np.array(rows.bottom), np.array(rows.mounting_id)
 
-    def scored(which: NDArray[np.bool_]) -> metrics.EvaluationScores:
-        return metrics.score(
+    def scored(which: NDArray[np.bool_]) -> EvaluationScores:
+        return score(
             probability[which], rows.patch[which], points_mm, delta, mounting[which].tolist()
         )
 
@@ -142,7 +155,7 @@ def calibrate_model(checkpoint: Checkpoint, rows: TrainingRows) -> ModelCard:
     """
     said, where = "No calibration can be fitted to these episodes", checkpoint.card.piece
     fix = "Use more episodes, over the whole range of displacements."
-    with core.errors_as_input(said, f"model of '{where}'", fix, ValueError):
+    with errors_as_input(said, f"model of '{where}'", fix, ValueError):
         fitted = fit_calibration(_predictions(checkpoint, rows), rows.patch)
     return checkpoint.card.model_copy(update={"calibration": fitted})
 
@@ -158,7 +171,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     """
     if job.out.suffix != ".safetensors":
         fix = "Choose another --out."
-        raise core.InputError("A model file ends in .safetensors.", str(job.out), fix)
+        raise InputError("A model file ends in .safetensors.", str(job.out), fix)
     began_s = time.monotonic()
     training.use_deterministic_algorithms(job.threads)
     pretrained = None if job.pretrained is None else load_checkpoint(job.pretrained)
@@ -172,7 +185,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
         if (card.modality, card.hyper.hidden, card.hyper.layers) != (settings.modality, *sizes):
             what = f"The model sees {card.modality}, the training asks for {settings.modality}"
             fix = "Leave out --modality, or choose another model."
-            raise core.InputError(f"{what} (or other layers).", str(job.pretrained), fix)
+            raise InputError(f"{what} (or other layers).", str(job.pretrained), fix)
         origin["pretrained"] = {"weights_sha256": key, "data": card.data}
     if job.mix is not None:
         own, more = len(rows), load_episodes(job.mix, rows.piece, job.labels)
@@ -208,7 +221,7 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     if not trainer.best_loss < DIVERGED_NATS:
         what = "The training diverged: its loss never fell below that of a constant prediction."
         fix = "Choose a smaller --learning-rate."
-        raise core.InputError(what, "learning_rate", fix)
+        raise InputError(what, "learning_rate", fix)
     probability = trainer.predict_held_out()
     card = make_card(rows, trainer, data, benches, probability)
     if pretrained is not None and pretrained.card.simulated:
@@ -218,12 +231,10 @@ def fit_model(job: TrainingJob, tell: ReportCallback, cancelled: Callable[[], bo
     validation = card.metrics["validation"]
     if before is not None:
         validation["pretrained"] = before.model_dump(include={"iou", "validation_loss"})
-    validation["bottoms"] = metrics.bottom_figures(rows, trainer.split.held_out, probability)
+    validation["bottoms"] = bottom_figures(rows, trainer.split.held_out, probability)
     if job.keep is not None:
-        core.write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
-        metrics.save_samples(
-            job.keep, metrics.choose_samples(rows, trainer.split.held_out, probability)
-        )
+        write_atomically(job.keep / MANIFEST, training_manifest(rows, trainer.split))
+        save_samples(job.keep, choose_samples(rows, trainer.split.held_out, probability))
     card = save_checkpoint(job.out, trainer.best_model().arrays(), card)
     state.unlink(missing_ok=True)
     best = trainer.best_figures
@@ -252,13 +263,13 @@ def mix_rows(
     count = round(len(split.train) * share / (1 - share))
     if not 0 < count <= len(more):
         what = f"A share of {share:g} needs {count} episodes to mix in; there are {len(more)}."
-        raise core.InputError(what, "mix_share", "Choose another --mix-share, or simulate more.")
+        raise InputError(what, "mix_share", "Choose another --mix-share, or simulate more.")
     chosen = np.sort(np.random.default_rng(seed).choice(len(more), count, replace=False))
     # Training caches have half precision.
     held_out = {one.astype(np.float16).tobytes() for one in rows.inputs(split.held_out)}
     if any(one.astype(np.float16).tobytes() in held_out for one in more.inputs(chosen)):
         what = "Some episodes to mix in are held out for validation, which would know them."
-        raise core.InputError(what, "mix", "Name other episodes with --mix.")
+        raise InputError(what, "mix", "Name other episodes with --mix.")
     train = np.concatenate([split.train, len(rows) + np.arange(count)])
     return join_rows([rows, more.take(chosen)]), replace(split, train=train)
 
@@ -314,7 +325,7 @@ def make_card(
             "device": training.device_name(trainer.device),
         },
         seed=settings.seed,
-        program_version=core.program_version(),
+        program_version=program_version(),
         weights_sha256="",
         simulated=only_simulated(rows),
         benches=benches,

@@ -12,11 +12,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.backend import learning
 from touchdown.backend.annotations import Pair
 from touchdown.backend.config import EARLY_TICKS
 from touchdown.backend.core import ContactPatch, Episode, FloatArray, InputError, read_only
 from touchdown.backend.geometry import Outline, Piece, face_points, true_patch
+from touchdown.backend.learning import (
+    Checkpoint,
+    LstmState,
+    ModelCard,
+    PatchCalibration,
+    PatchForward,
+    check_face,
+    load_checkpoint,
+    modality_columns,
+)
 
 STEP_MM = 0.5
 CLIP = 0.02  # probabilities are clipped to [CLIP, 1 - CLIP], as in the belief map
@@ -132,12 +141,12 @@ class Estimator:
 
     """
 
-    def __init__(self, checkpoint: learning.Checkpoint, points_mm: FloatArray) -> None:
-        self.card: learning.ModelCard = checkpoint.card
-        self._network = learning.PatchForward(checkpoint.arrays, self.card.hyper)
+    def __init__(self, checkpoint: Checkpoint, points_mm: FloatArray) -> None:
+        self.card: ModelCard = checkpoint.card
+        self._network = PatchForward(checkpoint.arrays, self.card.hyper)
         self._points_mm = points_mm
-        self._columns = learning.modality_columns(self.card.modality)
-        self._prepared: tuple[NDArray[np.float32], learning.LstmState] | None = None
+        self._columns = modality_columns(self.card.modality)
+        self._prepared: tuple[NDArray[np.float32], LstmState] | None = None
 
     @classmethod
     def shipped(cls, piece: Piece) -> Estimator:
@@ -166,9 +175,9 @@ class Estimator:
             If the model is damaged or belongs to another piece.
 
         """
-        checkpoint = learning.load_checkpoint(Path(path))
+        checkpoint = load_checkpoint(Path(path))
         points = face_points(piece.face)
-        learning.check_face(checkpoint.card, piece.name, piece.sha256, str(path), len(points))
+        check_face(checkpoint.card, piece.name, piece.sha256, str(path), len(points))
         return cls(checkpoint, points)
 
     @property
@@ -177,7 +186,7 @@ class Estimator:
         return self.card.base_rate
 
     @property
-    def calibration(self) -> learning.PatchCalibration | None:
+    def calibration(self) -> PatchCalibration | None:
         """Calibration of the probabilities, None if none was fitted."""
         return self.card.calibration
 
@@ -234,7 +243,7 @@ class Estimator:
         # sigmoid without overflow
         return np.asarray(0.5 + 0.5 * np.tanh(0.5 * logits.astype(np.float64)))
 
-    def _after(self, early: NDArray[np.float32]) -> learning.LstmState:
+    def _after(self, early: NDArray[np.float32]) -> LstmState:
         return self._network.run(early[:, self._columns], self._network.start)
 
 

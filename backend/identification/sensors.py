@@ -141,7 +141,7 @@ def _cameras(blocks: Sequence[Recording]) -> tuple[list[Estimate], list[tuple[st
     for finger in FINGERS:
         own = [[f for f in block.fields if f.finger == finger] for block in blocks]
         fields = [f for part in own for f in part]
-        for part in filter(None, own):
+        for part in (few for few in own if len(few) > 2):  # others show no period
             t_s = np.array([f.t_s for f in part])
             number = grid_numbers(t_s)
             period, start = np.polyfit(number, t_s, 1)

@@ -302,6 +302,14 @@ def test_rest_gives_noise_timing_and_losses():
     assert dict(found.facts)["flicker, right"].startswith("1.000 %")
 
 
+def test_a_block_with_one_picture_of_each_camera_does_not_count():
+    made = made_rest(60.0, dropped=[7])
+    (block,) = made.blocks
+    one = replace(block, fields=(block.fields[0], block.fields[-1]))
+    found = identify_rest(replace(made, blocks=(block, one))).estimates
+    assert {e.key: e.value for e in found}["tactile.jitter_s"] == pytest.approx(0.005, rel=0.1)
+
+
 def test_pictures_that_never_come_change_neither_drift_nor_jitter():
     made = made_rest(600.0, dropped=range(0, 100, 5), walk_px=0.02)
     found = {one.key: one for one in identify_rest(made).estimates}

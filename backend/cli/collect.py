@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     connection.add_scene_arguments(parser, BOTTOM, "bottom piece")
     add = parser.add_argument
     add("--count", type=int, help="probes to collect (default: 20)")
-    add("--plan", metavar="PLAN", help="recording for identify: rest, gel, contact, or a TOML file")
+    add("--plan", metavar="PLAN", help="for identify: rest, gel, contact, drag, or a TOML file")
     add("--pattern", choices=("random", "grid", "adaptive"), help="(default: random)")
     add("--within", type=float, dest="within_mm", metavar="MM", help="largest displacement in x, y")
     add("--seed", type=int, help="of the displacements (default: a new one)")

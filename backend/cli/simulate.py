@@ -31,6 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--grips-per-mounting", type=int, default=10)
     add("--preset", help="mixed (default), quiet, hard, off, realistic, bench-v1, bench-v2")
     add("--bench", metavar="FILE", help="settings of the simulated bench (TOML)")
+    add("--ranges", type=Path, metavar="JSON", help="figures of 'identify' beside its bench file: "
+        "jobs of 20 grips draw their bench from the 95 %% intervals")  # fmt: skip
     add("--pieces", metavar="DIR", help="folder with further piece files")
     add("--start", metavar="TIME",
         help="time of the first episode, such as 2026-01-31T12:00:00+01:00 (default: now); the "
@@ -103,11 +105,14 @@ def _jobs(args: argparse.Namespace, start_ns: int) -> list[JobSpec]:
     if not names or len(set(names)) != len(names):
         fix = "For example circle15,circle25,square15."
         raise InputError("Name each bottom once, and at least one.", "--bottoms", fix)
+    ranges = experiments.read_ranges(args.ranges) if args.ranges else {}
     jobs: list[JobSpec] = []
     for name in names:
         plan = experiments.batch_plan(
             piece, catalogue.bottom(name), settings, args.episodes, args.seed,
             args.probes_per_grip, args.grips_per_mounting,
         )  # fmt: skip
-        jobs += experiments.collection_jobs(plan, piece, start_ns, folder, last=name == names[-1])
+        jobs += experiments.collection_jobs(
+            plan, piece, start_ns, folder, last=name == names[-1], ranges=ranges
+        )
     return jobs

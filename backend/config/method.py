@@ -317,7 +317,8 @@ class RecordingPlan(Settings):
     """A recording for ``touchdown identify``: the probes of one campaign, and time at rest before.
 
     ``stage``: what the recording serves; ``note``: what it needs of the bench. ``rest_s``: the held
-    piece hangs still in air for this long before the first probe of each mounting.
+    piece hangs still in air for this long before the first probe of each mounting. ``drag_mm``: the
+    arm drags the piece along y while it presses, to both sides in turn.
     """
 
     stage: Literal["rest", "gel", "contact"]
@@ -330,6 +331,7 @@ class RecordingPlan(Settings):
     depth_mm: Travel | None = None  # None: as in the settings of the method
     ramp_fraction: Probability | None = None
     grip_force_n: Force | None = None
+    drag_mm: Annotated[float, Field(ge=0, le=3)] = 0.0
 
 
 class StackSettings(Settings):

@@ -255,11 +255,9 @@ class GuardedArm(_Guarded):
         """Press; refused if the nominal force exceeds the limit or the approach is too fast."""
         self._require_motion()
         limits = self._interlock.limits
-        nominal_n = command.stiffness_n_mm[2] * command.depth_mm
-        if not nominal_n <= limits.probe_n:
-            raise RefusedError(
-                "PRESS-FORCE", f"Nominal {nominal_n:.1f} N exceeds {limits.probe_n:.0f} N."
-            )
+        if not command.nominal_n <= limits.probe_n:
+            what = f"Nominal {command.nominal_n:.1f} N exceeds {limits.probe_n:.0f} N."
+            raise RefusedError("PRESS-FORCE", what)
         if not 0 < command.approach_mm_s <= limits.contact_speed_mm_s:
             raise RefusedError(
                 "APPROACH-SPEED",

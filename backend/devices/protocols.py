@@ -203,6 +203,7 @@ class ArmStatus:
 
 
 SENSIBLE = 1e6  # limit of any number of a command, in its unit
+MOST_DRAG_MM = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +214,7 @@ class PressCommand:
     the ramp ``depth_mm * min(1, t / ramp_s)`` counted from the back-dated onset (never moving up),
     and holds until ``hold_s`` after the onset. ``stiffness_n_mm``: gains (x, y, z).
     ``max_travel_mm``: the press fails with a ``FaultError`` without contact on this distance.
+    ``drag_mm``: travel along y, in step with the ramp; 0 presses straight down.
 
     Raises ``ValueError`` for a number that is not finite or out of range.
     """
@@ -224,15 +226,22 @@ class PressCommand:
     threshold_n: float
     max_travel_mm: float
     stiffness_n_mm: tuple[float, float, float]
+    drag_mm: float = 0.0
+
+    @property
+    def nominal_n(self) -> float:
+        """Force if nothing but the arm yields, N."""
+        _, side_n_mm, down_n_mm = self.stiffness_n_mm
+        return math.hypot(down_n_mm * self.depth_mm, side_n_mm * self.drag_mm)
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             numbers = value if isinstance(value, tuple) else (value,)
-            if not all(0.0 <= number <= SENSIBLE for number in numbers):
-                raise ValueError(
-                    f"{field.name} of a press must be finite and not negative: {value}"
-                )
+            drags = field.name == "drag_mm"
+            low, high = (-MOST_DRAG_MM, MOST_DRAG_MM) if drags else (0.0, SENSIBLE)
+            if not all(low <= number <= high for number in numbers):
+                raise ValueError(f"{field.name} of a press is out of range: {value}")
 
 
 class Arm(Device, Protocol):

@@ -40,6 +40,7 @@ from .models import adopt_models as adopt_models
 from .models import keep_models as keep_models
 from .models import load_model as load_model
 from .models import shipped_model_folders as shipped_model_folders
+from .nuisances import read_ranges as read_ranges
 from .results import DATA as DATA
 from .results import read_report as read_report
 from .results import rewrite_tables as rewrite_tables

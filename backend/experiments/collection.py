@@ -11,12 +11,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
 from touchdown.backend.config import SimulationSettings, parse_settings
 from touchdown.backend.core import InputError, program_version, sync_folder
 from touchdown.backend.episodes import START_KEY, PackedEpisode, patch_hex, write_packs
+from touchdown.backend.experiments.nuisances import bench_within
 from touchdown.backend.geometry import Piece, Tower, face_points, load_pieces
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.simulation import BatchPlan, EpisodeBatch, simulate_episodes
@@ -148,20 +150,31 @@ class Redraws(NamedTuple):
 
 
 def collection_jobs(
-    plan: BatchPlan, piece: Piece, start_ns: int, pieces: Path | None, *, last: bool = True
-) -> list[JobSpec]:
-    """Return the jobs of a plan, smaller ones of the ``last``; ``pieces``: further piece files."""
+    plan: BatchPlan, piece: Piece, start_ns: int, pieces: Path | None, *, last: bool = True,
+    ranges: Mapping[str, Sequence[float]] | None = None,
+) -> list[JobSpec]:  # fmt: skip
+    """Return the jobs of a plan, smaller ones of the ``last``; ``pieces``: further piece files.
+
+    Every job but the first draws its bench from ``ranges``, low and high of settings.
+    """
     least = JOBS_PER_PLAN if last else 1  # large batches are faster; small last ones end together
+    least = plan.grips if ranges else least  # the smallest jobs, for many benches
+
+    def bench(job: int) -> dict[str, Any]:
+        seed = crc32(f"{plan.bottom} {plan.seed} {job}".encode())
+        drawn = bench_within(plan.settings, (ranges or {}) if job else {}, seed)
+        return drawn.model_dump(mode="json")
+
     common = {
-        "piece": plan.piece, "bottom": plan.bottom, "bench": plan.settings.model_dump(mode="json"),
-        "episodes": plan.episodes, "probes_per_grip": plan.probes_per_grip,
+        "piece": plan.piece, "bottom": plan.bottom, "episodes": plan.episodes,
+        "probes_per_grip": plan.probes_per_grip,
         "grips_per_mounting": plan.grips_per_mounting, "start_ns": start_ns,
         "pieces": None if pieces is None else str(pieces.resolve()), "least": least,
     }  # fmt: skip
     return [
         JobSpec(
-            "collection", {**common, "job": k, "probes": job.episodes}, plan.seed,
-            (piece.sha256,), program_version(),
+            "collection", {**common, "bench": bench(k), "job": k, "probes": job.episodes},
+            plan.seed, (piece.sha256,), program_version(),
         )
         for k, job in enumerate(split_jobs(plan, {}, Path(), least=least))
     ]  # fmt: skip

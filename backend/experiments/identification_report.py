@@ -29,11 +29,9 @@ from touchdown.backend.experiments.document import (
 )
 from touchdown.backend.geometry import load_pieces
 from touchdown.backend.identification import (
-    CONTACT,
     GATE_CHANNELS,
-    GEL,
     PHASES,
-    REST,
+    PLANS,
     Estimate,
     Identification,
     identifiable,
@@ -106,7 +104,7 @@ def _sections(found: Identification) -> Iterator[ReportSection]:
         "Replay of held-out presses", (found.reason,), (_gate(found), _example(found))
     )
     yield ReportSection("Correlations", (), (_correlations(found),))
-    plans = [(plan, ", ".join(identifiable(plan))) for plan in (REST, GEL, CONTACT)]
+    plans = [(plan, ", ".join(identifiable(plan))) for plan in PLANS]
     missing = ("parameter", "recording that identifies it")
     tables = (
         ReportTable.of_texts("Missing", missing, found.missing),

@@ -5,12 +5,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from touchdown.backend.config import SimulationSettings, settings_with
+from touchdown.backend.core import InputError, read_limited
 
 FOUNDATION = "face.foundation_range_n_mm3"
 # Settings of each nuisance, which are scaled together.
@@ -77,6 +81,22 @@ def bench_within(
     rng = np.random.default_rng([seed, RANGES_SEED])
     drawn = {key: float(rng.uniform(low, high)) for key, (low, high) in sorted(ranges.items())}
     return settings_with(bench, drawn) if drawn else bench
+
+
+MAX_FIGURES = 10_000_000  # bytes
+RANGES_FIX = "Name the .json file that 'touchdown identify' wrote beside the bench file."
+
+
+def read_ranges(path: Path) -> dict[str, list[float]]:
+    """Return the ranges in the figures of an identification; raises ``InputError``."""
+    try:
+        found = json.loads(read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
+        ranges = {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
+        if not all(0.0 <= high - low < math.inf for low, high in ranges.values()):
+            raise ValueError
+        return ranges
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("This file has no ranges.", str(path), RANGES_FIX) from error
 
 
 BAND_SEED, BAND_FACTOR = 994, 2.0  # magnitudes from half to twice those of the bench

@@ -1,6 +1,4 @@
-from .estimates import CONTACT as CONTACT
-from .estimates import GEL as GEL
-from .estimates import REST as REST
+from .estimates import PLANS as PLANS
 from .estimates import Estimate as Estimate
 from .estimates import identifiable as identifiable
 from .identify import Identification as Identification

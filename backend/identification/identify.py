@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.identification import sensors, stages
 from touchdown.backend.identification.estimates import (
     CONTACT,
+    DRAG,
     NOT_IMPORTED,
     OTHER_RECORDINGS,
     PARAMETERS,
@@ -176,25 +178,29 @@ def identify_bench(
         presses.take(fitted_rows), nominal, library, drifts, store, tell
     )
     slips = recordings.of_stage(CONTACT_STAGE)
-
-    def slipped() -> stages.Json:
-        contact = sample_presses(slips, taken)
-        return stages.fit_pad_friction(contact, mechanics, nominal, library)
-
-    friction = store.get("friction", slipped) if slips else {"mu": [], "sigma": []}
-    pads = stages.friction_estimates(np.array(friction["mu"]), np.array(friction["sigma"]))
+    contact = presses.take(np.arange(0)) if not slips else sample_presses(slips, taken)
+    drags = stages.dragged(contact)
+    friction: dict[str, stages.Json] = {}
+    slipped: list[Estimate] = []
+    for key, plan, rows in (("mu_grip", CONTACT, ~drags), ("mu", DRAG, drags)):
+        some = contact.take(np.flatnonzero(rows))
+        fit = partial(stages.fit_friction, some, mechanics, nominal, library)
+        one = store.get(f"friction {key}", fit) if len(some) else {"mu": [], "sigma": []}
+        friction[key] = one
+        rows_of = stages.friction_estimates(key, np.array(one["mu"]), np.array(one["sigma"]))
+        slipped += rows_of
+        if not rows_of:
+            count = f": {len(one['mu'])} of {len(some)} presses slipped" if len(some) else ""
+            missing.append((", ".join(identifiable(plan)), f"`{plan}`{count}"))
     gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
     absent = NOT_IMPORTED if any(press.imported for press in presses.recordings) else {}
     estimated = (
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *sensors.arm_compliance(gel[:40]), *stages.mechanics_estimates(mechanics),
-        stages.dilation_estimate(mechanics.presses, mechanics, nominal.tactile.pitch_mm), *pads,
+        stages.dilation_estimate(mechanics.presses, mechanics, nominal.tactile.pitch_mm), *slipped,
     )  # fmt: skip
     estimates = tuple(one for one in estimated if one.key not in ", ".join(absent).split(", "))
-    if not pads:
-        count = f": {len(friction['mu'])} of {len(slips)} presses slipped" if slips else ""
-        missing.append((", ".join(identifiable(CONTACT)), f"`{CONTACT}`{count}"))
     names, correlation = stages.correlations(mechanics)
     charts = (*rest.spectra, *_charts(series, mechanics, friction))
     settings, used = identified_settings(nominal, estimates) if gate.accepted else (nominal, ())
@@ -209,17 +215,19 @@ def identify_bench(
 
 
 def _charts(
-    delays: dict[str, FloatArray], mechanics: stages.Mechanics, friction: stages.Json
+    delays: dict[str, FloatArray], mechanics: stages.Mechanics, friction: dict[str, stages.Json]
 ) -> Iterator[sensors.Chart]:
     """Yield the charts of stages 2 to 4 that have values."""
     late = {k.replace("_", " to "): 1e3 * v for k, v in delays.items() if np.isfinite(v).any()}
     ends = np.array([[0.0], [-1.96], [1.96]])  # of errors of logarithms
     shear, errors = mechanics.of("shear")
-    pads = np.array(friction["mu"]) * np.exp(ends * np.array(friction["sigma"]))
+    pads, faces = (np.array(friction[key]["mu"]) * np.exp(ends * np.array(friction[key]["sigma"]))
+                   for key in ("mu_grip", "mu"))  # fmt: skip
     for stage, title, units, curves in (
         (2, "Delays", ("presses", "ms"), late),
         (3, "Shear stiffness", ("fitted grippings", "N/mm"), {"": shear * np.exp(ends * errors)}),
         (4, "Friction of the pads", ("presses that slipped", ""), {"": pads}),
+        (4, "Friction of the faces", ("presses that slid", ""), {"": faces}),
     ):
         if count := max((v.shape[-1] for v in curves.values()), default=0):
             yield sensors.Chart(stage, title, units, 1.0 + np.arange(count), curves)

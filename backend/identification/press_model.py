@@ -191,7 +191,7 @@ class PressModel:
             relax_s=relax_s,
             creep=grasp.creep_share * ones,
             creep_s=grasp.creep_s * ones,
-            mu=nominal.mu * ones,
+            mu=v.get("mu", nominal.mu * ones),
             foundation_n_mm3=v["foundation"],
             tangential_n_mm3=nominal.face.tangential_n_mm3 * ones,
             tilt_rad=tilt,

@@ -19,7 +19,7 @@ from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, ProbeSettings
 from touchdown.backend.core import FINGERS, MARKERS, FloatArray, InputError, MarkerState, Recording
 from touchdown.backend.episodes import REST_KEY, read_compressed_episode, read_first
 from touchdown.backend.geometry import PieceLibrary
-from touchdown.backend.sensing import synchronise
+from touchdown.backend.sensing import DRAGGED, synchronise
 
 STEPS_PER_TICK = 2  # samples of the hand's path a tick
 STEPS = STEPS_PER_TICK * SAMPLES_PER_PROBE
@@ -114,7 +114,8 @@ def read_recordings(dataset: Dataset, progress: Progress = lambda _done, _of: No
             rests.setdefault(entry.mounting_id, []).append(block)
             continue
         facts = read_first(dataset.folder / entry.path).metadata["bench"]
-        slipped = all("slipped" in reason for reason in episode.quality.reasons)
+        reasons = episode.quality.reasons
+        slipped = all("slipped" in reason or DRAGGED in reason for reason in reasons)
         label = dataset.labels.head(entry.uuid).label
         used = episode.quality.accepted or (slipped and facts.get("stage") == CONTACT_STAGE)
         if used and label.is_set:

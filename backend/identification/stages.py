@@ -58,6 +58,7 @@ USUAL_ROUNDS = 4  # expected for the remaining time; a later round adds its own
 LARGEST_MISFIT, DISCREPANCIES = 2.0, (0.01, 0.02, 0.05, 0.1)
 SETTLED = 0.5  # a round that moves no unknown by more of its uncertainty is the last
 EARLY = 4  # tick of the slopes for the start
+DRAGGED_MM = 0.25  # least travel of the hand along y in a press that drags
 SLIPPED = 0.1  # largest relative error of the friction of a press that slipped
 HELD_OUT = 3  # every third gripping is held out
 CONDITIONED = 2  # first presses of a held-out gripping, which give its own values
@@ -320,12 +321,12 @@ def dilation_estimate(presses: PressSet, found: Mechanics, pitch_mm: float) -> E
     return estimate("tactile.dilation", value, float(np.hypot(sigma, 0.05 * value)), len(grips) - 1)
 
 
-def friction_estimates(mu: FloatArray, sigma: FloatArray) -> list[Estimate]:
-    """Return friction of the pads and its spread; nothing from fewer than three presses."""
+def friction_estimates(key: str, mu: FloatArray, sigma: FloatArray) -> list[Estimate]:
+    """Return the friction ``key`` and its spread; nothing from fewer than three presses."""
     if len(mu) < 3:
         return []
-    one = mean_estimate("mu_grip", mu, mu * sigma)
-    return [one, spread_estimate("spread.mu_grip", mu / one.value - 1.0, sigma, len(mu) - 1)]
+    one = mean_estimate(key, mu, mu * sigma)
+    return [one, spread_estimate(f"spread.{key}", mu / one.value - 1.0, sigma, len(mu) - 1)]
 
 
 def correlations(found: Mechanics) -> tuple[tuple[str, ...], FloatArray]:
@@ -489,13 +490,14 @@ def _phases(presses: PressSet) -> NDArray[np.intp]:
     return np.where(t_s <= 0.2 + 1e-9, 0, np.where(t_s <= ramp_s[:, None] + 1e-9, 1, 2))
 
 
-def fit_pad_friction(
+def fit_friction(
     presses: PressSet, found: Mechanics, nominal: SimulationSettings, library: PieceLibrary
 ) -> Json:
-    """Return the friction of the pads of each press that slipped: ``mu`` and relative ``sigma``.
+    """Return the friction of each press that slipped: ``mu`` and relative ``sigma``.
 
-    Stiffness and depth of each press are fitted with it by Gauss-Newton steps. The force limit is
-    friction times grip force, so an error of the grip force is part of the friction.
+    It is that of the faces for presses dragged along y (all or none), else that of the pads.
+    Stiffness and depth of each press are fitted with it by Gauss-Newton steps. The force limit of
+    the pads is friction times grip force, so an error of the grip force is part of the friction.
     """
     model, count = PressModel(presses, nominal, library), len(presses)
     values = {
@@ -503,23 +505,35 @@ def fit_pad_friction(
     }
     for name in ("tilt_x", "tilt_y", "print_x", "print_y", "grasp_x"):
         values[name] = np.zeros(count)
-    ratio = np.maximum(presses.wrench[:, -1, 2], 0.5) / (2.0 * model.grip_force_n)
+    force = presses.wrench[..., :3]
+    down = np.maximum(force[:, -1, 2], 0.5)
+    name, seen, ratio = "mu_grip", [2], down / (2.0 * model.grip_force_n)
+    if dragged(presses).any():
+        name, seen, ratio = "mu", [1, 2], np.maximum(np.abs(force[:, -1, 1]) / down, 0.05)
     centre = np.stack([np.log(ratio), np.log(values["shear"]), np.zeros(count)], axis=1)
-    sd = np.hypot(presses.air_sd[:, 2].mean() / 10.0, 0.03)
+    sd = np.hypot(presses.air_sd[:, seen].mean(axis=0) / 10.0, 0.03)
     weight, steps = 1.0 / np.array([1.0, 0.15, 0.1]) ** 2, np.diag([0.02, 0.01, 0.01])
 
     def predict(at: FloatArray) -> FloatArray:
-        own = {"mu_grip": np.exp(at[:, 0]), "shear": np.exp(at[:, 1]), "deeper_mm": at[:, 2]}
-        return np.asarray(np.nan_to_num(model.predict({**values, **own})[..., 2], nan=0.0) / sd)
+        own = {name: np.exp(at[:, 0]), "shear": np.exp(at[:, 1]), "deeper_mm": at[:, 2]}
+        signals = model.predict({**values, **own})[..., seen] / sd
+        return np.asarray(np.nan_to_num(signals, nan=0.0).reshape(count, -1))
 
-    x = centre
+    x, measured = centre, (force[..., seen] / sd).reshape(count, -1)
     for _ in range(6):
         at = predict(x)
         slopes = np.stack([(predict(x + step) - at) / step.sum() for step in steps], axis=2)
         hessian = np.einsum("btp,btq->bpq", slopes, slopes) + np.diag(weight)
-        left = presses.wrench[..., 2] / sd - at
-        gradient = np.einsum("btp,bt->bp", slopes, left) + (centre - x) * weight
+        gradient = np.einsum("btp,bt->bp", slopes, measured - at) + (centre - x) * weight
         x = x + np.clip(np.linalg.solve(hessian, gradient[..., None])[..., 0], -0.3, 0.3)
-    sigma = np.sqrt(np.linalg.inv(hessian)[:, 0, 0])
+    sigma, mu = np.sqrt(np.linalg.inv(hessian)[:, 0, 0]), np.exp(x[:, 0])
     slipped = sigma < SLIPPED
-    return {"mu": np.exp(x[slipped, 0]).tolist(), "sigma": sigma[slipped].tolist()}
+    if name == "mu":  # a slope of the bottom along y counts as friction
+        slope = np.concatenate([found.of("tilt_x")[0], found.of("tilt_y")[0]]).std()
+        sigma = np.hypot(sigma, slope * (mu + 1.0 / mu))
+    return {"mu": mu[slipped].tolist(), "sigma": sigma[slipped].tolist()}
+
+
+def dragged(presses: PressSet) -> NDArray[np.bool_]:
+    """Return (B,): True for presses in which the hand moved along y, towards a finger."""
+    return np.asarray(np.abs(presses.motion_mm[:, -1, 1]) > DRAGGED_MM)

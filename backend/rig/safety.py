@@ -265,11 +265,9 @@ class DriverCommands:
             case "arm.press":
                 stiffness = tuple(given["stiffness_n_mm"])
                 command = PressCommand(**{**given, "stiffness_n_mm": stiffness})
-                nominal_n = stiffness[2] * command.depth_mm
-                if not nominal_n <= limits.probe_n:
-                    raise RefusedError(
-                        "PRESS-FORCE", f"Nominal {nominal_n:.1f} N is over the limit."
-                    )
+                if not command.nominal_n <= limits.probe_n:
+                    what = f"Nominal {command.nominal_n:.1f} N is over the limit."
+                    raise RefusedError("PRESS-FORCE", what)
                 _refuse_fast("APPROACH-SPEED", command.approach_mm_s, limits.contact_speed_mm_s)
                 return arm.press(command)
             case "arm.unload":

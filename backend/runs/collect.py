@@ -37,10 +37,10 @@ from touchdown.backend.runs.jig import wait_for_refit
 from touchdown.backend.runs.motions import PlanEnd, ask_operator, run_finished, run_to_end
 from touchdown.backend.runs.plan import Plan
 from touchdown.backend.runs.recorder import not_saved_fault, save_or_wait
-from touchdown.backend.runs.requests import CollectRequest, request_record
+from touchdown.backend.runs.requests import PRESS_OF_PLAN, CollectRequest, request_record
 
 GRIP_LIMITS = ("probes_per_grip", "grips_per_mounting")
-RECORDED = ("stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n", *GRIP_LIMITS)
+RECORDED = (*sorted(PRESS_OF_PLAN), *GRIP_LIMITS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +144,7 @@ def _mountings(
     collector = Collector(campaign, recorder, session.decisions, seen, entries)
     collector.ask, collector.check_origin = request.ask, request.check_origin
     collector.hand_over, collector.rest_s = request.hand_over, request.rest_s
+    collector.drag_mm = request.drag_mm
     begun = PlanEnd(NEW_MOUNTING)
     if campaign.mountings and _by_hand(request, bench):
         # Only a mounting fitted by hand may be continued.

@@ -168,7 +168,7 @@ class Collector:
         self.todo: deque[int] = deque(campaign.todo(entries))
         self.done: int = sum(e.quality.accepted and not e.deleted for e in entries)
         self.ask = self.check_origin = self.hand_over = False
-        self.rest_s = 0.0
+        self.rest_s = self.drag_mm = 0.0
         self._rejected: Counter[int] = Counter()
         self._probes = 0
         self._pending: _PendingEpisode | None = None
@@ -379,7 +379,8 @@ class Collector:
             place = replace(place, z_mm=first_mm + probe.start_height_mm)
             yield from motions.move_to(bench, place, "the arm to shift")
         yield from self._settled(bench)
-        pressed = yield from press_once(bench, self._probes, np.array(wanted_mm))
+        drag_mm = self.drag_mm if self._probes % 2 else -self.drag_mm
+        pressed = yield from press_once(bench, self._probes, np.array(wanted_mm), drag_mm=drag_mm)
         where = measure_offset(pressed.episode, origin, bench.settings.collect)
         yield from motions.lift(bench, self._probes)
         episode = pressed.episode

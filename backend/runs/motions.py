@@ -110,8 +110,9 @@ def move_to(bench: Bench, place: core.Pose, what: str = "the arm to arrive") -> 
 
 
 def press_command(
-    bench: Bench, depth_mm: float, ramp_s: float, hold_s: float, below_mm: float | None = None
-) -> PressCommand:
+    bench: Bench, depth_mm: float, ramp_s: float, hold_s: float, below_mm: float | None = None,
+    drag_mm: float = 0.0,
+) -> PressCommand:  # fmt: skip
     """Return a press with the method's gains, to ``below_mm`` below the usual contact at most."""
     probe = bench.settings.probe
     return PressCommand(
@@ -122,14 +123,15 @@ def press_command(
         threshold_n=probe.threshold_n,
         max_travel_mm=probe.start_height_mm + (below_mm or probe.max_travel_mm),
         stiffness_n_mm=probe.stiffness_n_mm,
+        drag_mm=drag_mm,
     )
 
 
-def probe_command(bench: Bench) -> PressCommand:
-    """Return the press of a probe."""
+def probe_command(bench: Bench, drag_mm: float = 0.0) -> PressCommand:
+    """Return the press of a probe, dragged along y by ``drag_mm``."""
     probe = bench.settings.probe
     ramp_s = probe.ramp_fraction * probe.duration_s
-    return press_command(bench, probe.depth_mm, ramp_s, probe.duration_s)
+    return press_command(bench, probe.depth_mm, ramp_s, probe.duration_s, drag_mm=drag_mm)
 
 
 def ask_operator(

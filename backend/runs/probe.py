@@ -25,7 +25,7 @@ from touchdown.backend.runs import messages, motions
 from touchdown.backend.runs.bench import Bench, PressedProbe
 from touchdown.backend.runs.jig import approach_with_piece
 from touchdown.backend.runs.plan import Plan, Wait
-from touchdown.backend.sensing import TorsionSlipDetector, assemble_episode, synchronise
+from touchdown.backend.sensing import DRAGGED, TorsionSlipDetector, assemble_episode, synchronise
 
 BEFORE_ONSET_S = 0.3
 LEVEL_S = 0.2  # A tilted face rotates until it lies flat; slip in the grasp counts after this time
@@ -39,30 +39,31 @@ LONGEST_HUSH_S = 0.08
 
 
 def press_once(
-    bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False
-) -> Plan[PressedProbe]:
+    bench: Bench, probe: int, offset_mm: FloatArray | None = None, *, decides: bool = False,
+    drag_mm: float = 0.0,
+) -> Plan[PressedProbe]:  # fmt: skip
     """Press and stay pressed; return the probe, accepted or not.
 
     ``offset_mm`` (2,) is the commanded displacement; with None it is the arm position. ``decides``:
     a decision follows at once, so repaints are held off. A press that is void after a short dropout
-    of arm or wrist is repeated.
+    of arm or wrist is repeated. A press dragged along y by ``drag_mm`` is not accepted.
     """
 
     def after_void(fault: Fault) -> Plan[None]:
         yield Said(bench.now_s(), f"Probe {probe} is void: {fault.what} Pressing again.")
         yield from motions.lift(bench, probe)
 
-    press = partial(_press, bench, probe, offset_mm, decides=decides)
+    press = partial(_press, bench, probe, offset_mm, decides=decides, drag_mm=drag_mm)
     return (yield from motions.retry_if_void(bench, press, after_void))
 
 
 def _press(
-    bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool
+    bench: Bench, probe: int, offset_mm: FloatArray | None, *, decides: bool, drag_mm: float
 ) -> Plan[PressedProbe]:
     yield from motions.zero_sensors(bench, probe)
     yield PhaseEntered(bench.now_s(), "approach", probe)
     here = bench.arm.pose(max_age_s=0.2)
-    motion = bench.arm.press(motions.probe_command(bench))
+    motion = bench.arm.press(motions.probe_command(bench, drag_mm))
     limit_s = 60.0
     yield Wait(lambda: motion.done or motion.onset_s is not None, limit_s, "contact")
     if motion.onset_s is not None:
@@ -110,6 +111,10 @@ def _press(
         piece=bench.piece.name,
         metadata=_calibration(bench),
     )
+    if drag_mm:
+        reasons = (*episode.quality.reasons, DRAGGED)
+        quality = replace(episode.quality, accepted=False, reasons=reasons)
+        episode = replace(episode, quality=quality)
     return PressedProbe(episode, probe, end_s, sampled_s)
 
 

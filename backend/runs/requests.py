@@ -49,11 +49,11 @@ GRIPS = 3  # default minimum of grips in a campaign: fewer do not show the effec
 # Default minimum of mountings; each is a series, and a model is tested on unseen series
 MOUNTINGS = 3
 # Settings of a recording plan that a request takes over; the window and arguments set the others.
-PRESS_OF_PLAN = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n"}
+PRESS_OF_PLAN = {"stage", "rest_s", "depth_mm", "ramp_fraction", "grip_force_n", "drag_mm"}
 
 
 def read_plan(name: str) -> RecordingPlan:
-    """Return the recording plan ``rest``, ``gel`` or ``contact``, or that of a TOML file."""
+    """Return a shipped recording plan (rest, gel, contact, drag), or that of a TOML file."""
     shipped = Path(str(files("touchdown.resources"))) / "recordings" / f"{name}.toml"
     return read_settings(RecordingPlan, shipped if shipped.is_file() else Path(name))
 
@@ -235,6 +235,9 @@ class CollectRequest:
         with lossless images.
     depth_mm, ramp_fraction, grip_force_n : float, optional
         Settings of the press in place of those of the method.
+    drag_mm : float, default: 0
+        Travel along y during the press, to both sides in turn, up to 3 mm. Such a probe slides on
+        the bottom and is kept as rejected.
 
     Examples
     --------
@@ -263,6 +266,7 @@ class CollectRequest:
     depth_mm: float | None = None
     ramp_fraction: float | None = None
     grip_force_n: float | None = None
+    drag_mm: float = 0.0
 
     def __post_init__(self) -> None:
         _check_request(self, pattern=Pattern)

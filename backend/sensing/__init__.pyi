@@ -1,5 +1,6 @@
 from .detector import HEIGHT_PX as HEIGHT_PX
 from .detector import WIDTH_PX as WIDTH_PX
+from .episode import DRAGGED as DRAGGED
 from .episode import EpisodeLimits as EpisodeLimits
 from .episode import assemble_episode as assemble_episode
 from .episode import refuse_observation as refuse_observation

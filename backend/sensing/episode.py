@@ -39,6 +39,7 @@ ROUNDING_S = 1e-7  # time stamps are whole microseconds; closer times are equal
 
 NEAREST_FRAME_S = 0.060  # ticks farther from any frame are marked (reliability C5)
 LONGEST_HOLE_S = 0.200  # no interpolation between frames farther apart (reliability C5)
+DRAGGED = "The arm dragged the piece over the bottom"  # reason of a refusal
 WRENCH_SHARE = 0.8  # smallest share of the samples expected in the 100 ms before a tick
 
 

@@ -137,6 +137,7 @@ class SimPress(SimProgram):
             self._detector.feed(*air)
         self._way: list[tuple[float, float]] = [(start_s, start_z_mm)]
         self._zero_mm: float | None = None
+        self._y_mm = 0.0  # where the drag begins
 
     @property
     def detected_s(self) -> float | None:
@@ -163,8 +164,10 @@ class SimPress(SimProgram):
             if self._zero_mm is None:
                 t_s, z_mm = zip(*self._way, strict=True)
                 self._zero_mm = float(np.interp(onset_s, t_s, z_mm))
-            depth_mm = law.depth_mm * min(1.0, (cycle.end_s - onset_s) / law.ramp_s)
-            after[2] = min(after[2], self._zero_mm - depth_mm)
+                self._y_mm = float(command_mm[1])
+            share = min(1.0, (cycle.end_s - onset_s) / law.ramp_s)
+            after[2] = min(after[2], self._zero_mm - share * law.depth_mm)
+            after[1] = self._y_mm + share * law.drag_mm
             self.done = cycle.end_s >= onset_s + law.hold_s
         self._way.append((cycle.end_s, float(after[2])))
         return after

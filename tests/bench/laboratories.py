@@ -49,7 +49,13 @@ from touchdown.backend.identification.stages import Gate, replay_gate
 from touchdown.backend.jobs import JobContext, JobSpec, JobStore
 from touchdown.backend.learning import use_one_thread
 from touchdown.backend.learning.fused import load_fused
-from touchdown.backend.runs import CollectRequest, RecordingOptions, newest_campaign
+from touchdown.backend.runs import (
+    PRESS_OF_PLAN,
+    CollectRequest,
+    RecordingOptions,
+    newest_campaign,
+    read_plan,
+)
 
 # Setting: low, high, and whether the logarithm is uniform
 RANGES: dict[str, tuple[float, float, bool]] = {
@@ -81,7 +87,9 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "spread.print_offset_mm": (0.05, 0.25, False),
     "spread.jig_mm": (0.05, 0.25, False),
 }
-GEL, CONTACT = (45, 5, 3), (2, 1, 6)  # presses, per grip, grips per mounting
+# Drawn and recorded from this seed on: the first laboratories had no drags.
+FACES_FROM, FACES = 50, {"mu": (0.25, 0.5, False), "spread.mu": (0.03, 0.12, False)}
+GEL, CONTACT, DRAG = (45, 5, 3), (2, 1, 6), (4, 2, 6)  # presses, per grip, grips per mounting
 REST_S, TRIES = 31.0, 60
 REST_DRIVERS_S = 61.0  # a busy computer leaves gaps between the blocks
 # Points a side of a cell of 1 mm. Whole cells err by 3 to 5 N·mm in the moments; the press model
@@ -102,7 +110,7 @@ def draw_laboratory(
     if not drivers:
         content["tactile"].update(rate_hz=RATE_HZ, drop_share=0.0)
     truth = {}
-    for key, (low, high, log) in RANGES.items():
+    for key, (low, high, log) in (RANGES | (FACES if seed >= FACES_FROM else {})).items():
         value = float(
             np.exp(rng.uniform(np.log(low), np.log(high))) if log else rng.uniform(low, high)
         )
@@ -139,7 +147,9 @@ def record_laboratory(
          "rest_s": REST_DRIVERS_S if drivers else REST_S},
         {**dict(zip(numbers, CONTACT, strict=True)), "stage": "contact", "within_mm": 2.0,
          "depth_mm": 1.9, "ramp_fraction": 0.6, "grip_force_n": 4.0},
-    )  # fmt: skip
+        {**read_plan("drag").model_dump(include=PRESS_OF_PLAN | {"within_mm"}),
+         **dict(zip(numbers, DRAG, strict=True))},
+    )[: 4 if seed >= FACES_FROM else 3]  # fmt: skip
     common = {"piece": "pot", "bottom": "square15", "person": "judge"}
     with (
         mock.patch("os.fsync"),

@@ -24,7 +24,8 @@ PATTERNS = (
     ("adaptive", "Adaptive: fill the gaps"),
     ("rest", "Identify: at rest"),
     ("gel", "Identify: arm and gel"),
-    ("contact", "Identify: slip"),
+    ("contact", "Identify: slip in the grasp"),
+    ("drag", "Identify: slide on the bottom"),
 )
 WIDEST_MM = 60.0
 NO_LIMIT = "any"

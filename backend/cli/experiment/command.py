@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -29,8 +27,6 @@ def add_report_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 MOST_NETWORKS = 8
-MAX_FIGURES = 10_000_000  # bytes
-RANGES_FIX = "Name the .json file that 'touchdown identify' wrote beside the bench file."
 
 
 def add_fused_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,7 +96,7 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
             f"others), and 1 to {MOST_NETWORKS} networks.",
         )
     bench, code = run.bench(), core.package_version("touchdown")
-    ranges = _ranges(args.ranges) if args.ranges else {}
+    ranges = experiments.read_ranges(args.ranges) if args.ranges else {}
     recipe = experiments.FusionRecipe(
         bench, code, counts, args.steps, args.seed, args.device,
         outlines=args.outlines, batch=args.batch, networks=args.networks, ranges=ranges,
@@ -125,18 +121,6 @@ def train_fused(run: campaign.ExperimentRun) -> campaign.Json:
         run.screen.say(f"The network is in {out}.")
         answer |= {"file": str(out), "fused": store.result(training)}
     return {**answer, **run.counts()}
-
-
-def _ranges(path: Path) -> dict[str, list[float]]:
-    """Return the ranges in the figures of an identification; raises ``InputError``."""
-    try:
-        found = json.loads(core.read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
-        ranges = {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
-        if not all(0.0 <= high - low < math.inf for low, high in ranges.values()):
-            raise ValueError
-        return ranges
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise core.InputError("This file has no ranges.", str(path), RANGES_FIX) from error
 
 
 def _tuning(run: campaign.ExperimentRun, bench: SimulationSettings) -> campaign.Json:

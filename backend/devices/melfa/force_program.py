@@ -179,9 +179,11 @@ class ForceProgram:
         return math.nan if self._press is None else self._press.press_n
 
     def refuse(self, command: PressCommand) -> None:
-        """Raise ``RefusedError`` for a press that could exceed the limit of a probe."""
-        most_n = command.depth_mm * command.stiffness_n_mm[2]
-        limit_n = self._settings.probe_force_limit_n
+        """Raise ``RefusedError`` for a press that drags or could exceed the limit of a probe."""
+        if command.drag_mm:
+            what = "The force program of the controller presses straight down only."
+            raise core.RefusedError("PRESS-DRAGS", what)
+        most_n, limit_n = command.nominal_n, self._settings.probe_force_limit_n
         if not most_n <= limit_n:
             raise core.RefusedError(
                 "PROBE-FORCE", f"{most_n:.1f} N could be reached; the limit is {limit_n:.1f} N."

@@ -68,10 +68,11 @@ def test_a_recording_for_identify_is_chosen_as_pattern(page):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("plan", ["rest", "gel", "contact"])
+@pytest.mark.parametrize("plan", ["rest", "gel", "contact", "drag"])
 def test_every_recording_for_identify_is_a_pattern_of_the_form(plan):
     found = collect_request(TargetForm(pattern=plan), "Ann")
-    assert (found.stage, found.pattern) == (plan, "random")
+    assert (found.stage, found.pattern) == ("contact" if plan == "drag" else plan, "random")
+    assert found.drag_mm == (0.9 if plan == "drag" else 0.0)
     assert plan in dict(PATTERNS)
     # A campaign that continues keeps the recording it was begun with.
     again = collect_request(TargetForm(pattern=plan), "Ann", campaign="c")

@@ -66,6 +66,28 @@ def test_a_press_finds_contact_holds_and_unloads(bench: DevicesUnderTest) -> Non
     assert unload.sent["force_n"] == 1.0
 
 
+@EVERY
+def test_a_press_drags_the_piece_along_y_in_step_with_its_ramp(bench: DevicesUnderTest) -> None:
+    drag_mm = -0.9
+    bench.lifted_and_gripped()
+    start = place(bench.arm.pose(0.1))
+    samples = bench.force_torque.samples
+    air = samples.window(bench.now_s() - 0.2, bench.now_s()).values.mean(axis=0)
+    motion = bench.arm.press(replace(PRESS, depth_mm=0.8, drag_mm=drag_mm))
+    bench.succeed(motion)
+    assert motion.sent["drag_mm"] == drag_mm
+    assert motion.onset_s is not None
+    poses = bench.arm.poses.window(motion.onset_s, bench.now_s())
+    moved = poses.values - start
+    # The arm yields to friction, which is less than half of the press force.
+    assert 0.75 < moved[-1, 1] / drag_mm < 1.0
+    half = np.interp(motion.onset_s + 0.5 * PRESS.ramp_s, poses.t_s, moved[:, 1])
+    assert half / drag_mm == pytest.approx(0.5 * moved[-1, 1] / drag_mm, abs=0.1)
+    assert abs(moved[:, 0]).max() < 0.05
+    held = samples.window(bench.now_s() - 0.1, bench.now_s()).values.mean(axis=0) - air
+    assert 0.2 < held[1] / held[2] < 0.6
+
+
 @pytest.mark.promise("G4")
 @EVERY
 def test_a_press_into_nothing_fails_with_a_fault(bench: DevicesUnderTest) -> None:

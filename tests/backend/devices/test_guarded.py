@@ -125,11 +125,17 @@ def test_the_override_slows_every_move() -> None:
     ]
 
 
-def test_the_nominal_force_of_a_press_is_that_along_z() -> None:
+def test_the_nominal_force_of_a_press_is_that_along_z_and_of_its_drag() -> None:
     guard = Guard(probe_n=30.0)
     hard = replace(PRESS, stiffness_n_mm=(5.0, 7.0, 20.1))
     assert guard.refusal("press", hard) == "PRESS-FORCE"
-    assert guard.refusal("press", replace(hard, stiffness_n_mm=(25.0, 30.0, 19.9))) is None
+    soft = replace(hard, stiffness_n_mm=(25.0, 30.0, 12.0))
+    assert guard.refusal("press", replace(soft, stiffness_n_mm=(25.0, 30.0, 19.9))) is None
+    # 18 N down and 24 N to the side
+    assert guard.refusal("press", replace(soft, drag_mm=-0.79)) is None
+    assert guard.refusal("press", replace(soft, drag_mm=-0.81)) == "PRESS-FORCE"
+    with pytest.raises(ValueError, match="drag_mm"):
+        replace(PRESS, stiffness_n_mm=(5.0, 0.0, 19.0), drag_mm=-3.1)
 
 
 def test_a_press_approaches_no_faster_than_contact_allows() -> None:

@@ -66,7 +66,10 @@ from touchdown.backend.identification.stages import (
     Mechanics,
     StageStore,
     dilation_estimate,
+    dragged,
+    fit_friction,
     fit_mechanics,
+    friction_estimates,
     judged_presses,
     replay_gate,
     split_grips,
@@ -767,7 +770,8 @@ def test_each_stage_has_a_verdict():
 def test_stages_2_to_4_have_charts_of_what_was_recorded(tmp_path, monkeypatch):
     found, _ = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"))
     delays = {"pose_wrench": np.array([0.01, np.nan, 0.02]), "command_pose": np.full(3, np.nan)}
-    slips = {"mu": [0.8, 0.9], "sigma": [0.1, 0.0]}
+    nothing = {"mu": [], "sigma": []}
+    slips = {"mu_grip": {"mu": [0.8, 0.9], "sigma": [0.1, 0.0]}, "mu": nothing}
     late, gels, pads = _charts(delays, found, slips)
     assert (late.stage, late.units[1], list(late.curves)) == (2, "ms", ["pose to wrench"])
     assert late.x.tolist() == [1.0, 2.0, 3.0]
@@ -777,8 +781,67 @@ def test_stages_2_to_4_have_charts_of_what_was_recorded(tmp_path, monkeypatch):
     np.testing.assert_allclose(
         pads.curves[""], [[0.8, 0.9], [0.8 * np.exp(-0.196), 0.9], [0.8 * np.exp(0.196), 0.9]]
     )
-    nothing = {"mu": [], "sigma": []}
-    assert [one.stage for one in _charts({}, found, nothing)] == [3]
+    slides = {"mu_grip": nothing, "mu": {"mu": [0.4], "sigma": [0.0]}}
+    assert [one.title for one in _charts({}, found, slides)] == [
+        gels.title,
+        "Friction of the faces",
+    ]
+
+
+def sliding(found, path, signs=(1, 1, 1, 1), grip_n=10.0, **own):
+    """Return presses of a pot along ``path``, to the side of ``signs``, by the press model."""
+    presses = made_set([(0, 0)] * len(signs), path, piece="pot", bottom="square15")
+    motion = presses.motion_mm * np.array([(1, side, 1) for side in signs])[:, None]
+    held = tuple(
+        replace(one, probe=ProbeSettings(grip_force_n=grip_n)) for one in presses.recordings
+    )
+    presses = replace(
+        presses, recordings=held, motion_mm=motion, contact_mm=np.full(len(signs), 30.0)
+    )
+    values = {u.name: np.full(len(signs), found.of(u.name)[0].mean()) for u in unknowns_of(NOMINAL)}
+    wrench = PressModel(presses, NOMINAL, LIBRARY).predict({**values, **own})[..., :6]
+    return replace(presses, wrench=wrench)
+
+
+def test_the_friction_of_the_faces_is_the_ratio_of_the_forces_of_a_slide(tmp_path, monkeypatch):
+    found, _ = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"))
+    mu, sides = np.array([0.22, 0.35, 0.5, 0.35]), np.array([1, -1, 1, -1])
+    path = RAMP * (0.0, 0.9, -0.5)
+    presses = sliding(found, path, sides, mu=mu)
+    # Coulomb's law; the faces lie level.
+    np.testing.assert_allclose(-sides * presses.wrench[:, -1, 1] / presses.wrench[:, -1, 2], mu,
+                               rtol=0.01)  # fmt: skip
+    assert dragged(presses).all()
+    slid = fit_friction(presses, found, NOMINAL, LIBRARY)
+    np.testing.assert_allclose(slid["mu"], mu, rtol=0.01)
+    assert max(slid["sigma"]) < 0.03
+    # The friction of a press that does not slide is unknown.
+    stuck = sliding(found, RAMP * (0.0, 0.3, -0.9), mu=np.full(4, 0.6))
+    assert fit_friction(stuck, found, NOMINAL, LIBRARY)["mu"] == []
+    # A slope of the bottom counts with opposite signs on both sides, so the mean stays.
+    x = found.fit.x.copy()
+    x[found.layout.parts["tilt_x"]] = 0.02
+    slope = replace(found, fit=replace(found.fit, x=x))
+    leant = sliding(found, path, sides, mu=np.full(4, 0.35))
+    turned = leant.wrench.copy()
+    turned[..., 1:3] = leant.wrench[..., 1:3] @ [[1.0, 0.02], [-0.02, 1.0]]
+    leant = fit_friction(replace(leant, wrench=turned), slope, NOMINAL, LIBRARY)
+    assert abs(leant["mu"][0] - leant["mu"][1]) == pytest.approx(0.04 * (1 + 0.35**2), rel=0.1)
+    assert np.mean(leant["mu"]) == pytest.approx(0.35, rel=0.01)
+    spread = np.std([*found.of("tilt_x")[0] + 0.02, *found.of("tilt_y")[0]])
+    assert leant["sigma"][0] == pytest.approx(spread * (0.35 + 1 / 0.35), rel=0.2)
+
+
+def test_the_friction_of_the_pads_follows_from_a_press_in_which_they_slip(tmp_path, monkeypatch):
+    found, _ = fitted(monkeypatch, StageStore(tmp_path / "stages", "inputs"))
+    mu = np.array([0.5, 0.62, 0.8, 0.62])
+    presses = sliding(found, RAMP * (0.0, 0.0, -1.7), grip_n=4.0, mu_grip=mu)
+    assert not dragged(presses).any()
+    slipped = fit_friction(presses, found, NOMINAL, LIBRARY)
+    np.testing.assert_allclose(slipped["mu"], mu, rtol=0.03)
+    pads, spread = friction_estimates("mu_grip", np.array(slipped["mu"]), np.full(4, 0.01))
+    assert (pads.key, spread.key) == ("mu_grip", "spread.mu_grip")
+    assert friction_estimates("mu", np.array([0.3, 0.4]), np.full(2, 0.01)) == []
 
 
 def test_an_uncertain_parameter_names_its_own_recording(tmp_path, monkeypatch, presses):

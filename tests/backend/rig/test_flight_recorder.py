@@ -267,6 +267,8 @@ def test_the_rig_refuses_what_is_past_the_limits_whoever_asks(rig):
         "max_travel_mm": 3.0, "stiffness_n_mm": (30.0, 30.0, 15.0),
     }  # fmt: skip
     assert reason(lambda: rig.order("arm.press", **press)) == "PRESS-FORCE"
+    dragged = {**press, "depth_mm": 0.8, "drag_mm": 1.1}
+    assert reason(lambda: rig.order("arm.press", **dragged)) == "PRESS-FORCE"
     with pytest.raises(ValueError, match="no order"):
         rig.order("arm.fly")
     assert rig.arm.status().robot_mode is RobotMode.READY

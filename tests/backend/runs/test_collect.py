@@ -29,6 +29,7 @@ from touchdown.backend.core.faults import Fault, FaultError, InputError, Refused
 from touchdown.backend.episodes import REST_KEY, read_first
 from touchdown.backend.runs import CollectRequest, RunState, jig, newest_campaign, read_campaign
 from touchdown.backend.runs.collect import prepare_campaign
+from touchdown.backend.sensing import DRAGGED
 from touchdown.backend.sensing.scene_camera import Homography
 
 pytestmark = pytest.mark.slow
@@ -178,6 +179,25 @@ def test_rest_is_recorded_before_the_first_probe_and_belongs_to_no_campaign(tmp_
         assert (type(resumed.probes_per_grip), resumed.grips_per_mounting) == (int, 4)
         with pytest.raises(InputError, match="The campaign records 'rest', not 'gel'"):
             prepare_campaign(collected.session, replace(again, stage="gel"))
+
+
+def test_a_recording_of_friction_drags_the_piece_to_both_sides_and_keeps_it_as_rejected(tmp_path):
+    with collecting(tmp_path / "ds") as collected:
+        collected.run(count=1, stage="contact", depth_mm=0.8, drag_mm=0.9, probes_per_grip=2)
+        assert all(DRAGGED in entry.quality.reasons for entry in collected.entries)
+        ends = []
+        for entry in collected.entries:
+            episode = collected.dataset.read(entry.uuid)
+            path = episode.recording
+            touch, last = np.searchsorted(path.pose_t_s, episode.onset_s + np.array([0.0, 1.9]))
+            ends.append(path.pose_mm[last] - path.pose_mm[touch])
+        np.testing.assert_allclose(ends, [(0, 0.85, -0.5), (0, -0.85, -0.5), (0, 0.85, -0.5)],
+                                   atol=0.1)  # fmt: skip
+        # Continued, it drags as before.
+        again = CollectRequest(campaign=newest_campaign(tmp_path / "ds"), person="ann")
+        assert prepare_campaign(collected.session, again)[2].drag_mm == 0.9
+        with pytest.raises(InputError, match="Bad value for 'drag_mm'"):
+            CollectRequest(person="ann", drag_mm=3.1)
 
 
 def test_a_restarted_campaign_collects_only_what_is_missing(tmp_path):

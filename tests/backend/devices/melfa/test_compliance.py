@@ -25,7 +25,10 @@ CASES = [
     for name, clause, more in (
         (name, clause, {"after_s": 2.5} if "every_phase" in name else {})
         for name, clause in vars(test_arm_contract).items()
-        if name.startswith("test_") and "press" in name and clause.__code__.co_argcount > 0
+        if name.startswith("test_")
+        and "press" in name
+        and clause.__code__.co_argcount > 0
+        and "drags" not in name  # refused, see below
     )
 ]  # moves are those of the stream, tested elsewhere
 
@@ -94,6 +97,8 @@ def test_more_than_a_probe_may_reach_is_refused_before_anything_moves(bench, con
     bench.lifted_and_gripped()
     with pytest.raises(RefusedError, match="PROBE-FORCE"):
         bench.arm.press(replace(CONTRACT_BENCH_PRESS, depth_mm=2.5))
+    with pytest.raises(RefusedError, match="PRESS-DRAGS"):
+        bench.arm.press(replace(CONTRACT_BENCH_PRESS, drag_mm=0.1))
     assert controller.program == "stream"
 
 

@@ -378,15 +378,17 @@ AIR_N = np.array([0.5, -0.8, -14.0])  # what the untared wrist reads in air
 COMMAND = PressCommand(1.5, 1.0, 2.0, 4.0, 1.0, 10.0, (30.0, 25.0, 15.0))
 
 
+@pytest.mark.parametrize("drag_mm", [0.0, -0.9])
 @pytest.mark.parametrize(("cycle_s", "arm_lag_s"), [(0.0035, 0.01), (0.02, 0.05)])
-def test_the_depth_counts_from_the_touch_whatever_the_delay_of_the_loop(cycle_s, arm_lag_s):
+def test_the_depth_counts_from_the_touch_whatever_the_delay(cycle_s, arm_lag_s, drag_mm):
     """The arm follows its command two cycles and a lag later: that is up to 0.36 mm."""
     loop = LoopDelays(cycle_s, arm_lag_s=arm_lag_s)
     late_s = loop.dead_cycles * cycle_s + arm_lag_s
     law = admittance_law(loop, COMMAND.stiffness_n_mm)
     before_s = np.arange(-0.6, 0.0, 0.001)
     motion = ArmPress({})
-    press = PressProgram(motion, COMMAND, law, loop, (before_s, np.tile(AIR_N, (600, 1))))
+    command = replace(COMMAND, drag_mm=drag_mm)
+    press = PressProgram(motion, command, law, loop, (before_s, np.tile(AIR_N, (600, 1))))
     sent_s, sent_mm = [0.0], [np.array([4.0, -6.0, 25.0])]
     now_s = 0.0
     while not motion.done:
@@ -401,5 +403,5 @@ def test_the_depth_counts_from_the_touch_whatever_the_delay_of_the_loop(cycle_s,
     motion.result()
     assert press.compliance is not None
     reference_mm = press.compliance.reference_mm
-    assert reference_mm[:2] == pytest.approx((4.0, -6.0))
+    assert reference_mm[:2] == pytest.approx((4.0, -6.0 + drag_mm))
     assert reference_mm[2] == pytest.approx(SURFACE_MM - COMMAND.depth_mm, abs=0.02)

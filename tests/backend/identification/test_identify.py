@@ -74,6 +74,7 @@ from touchdown.backend.identification.stages import (
     replay_gate,
     split_grips,
 )
+from touchdown.backend.sensing import DRAGGED
 from touchdown.backend.simulation import build_gel
 
 ONSET_S = 0.3
@@ -209,6 +210,26 @@ def test_imported_presses_are_used_if_they_are_labelled(tmp_path):
         (found,) = read_recordings(dataset).presses
     assert found.offset_mm.tolist() == [1.0, 2.0]
     assert len(found.signals.wrench_t_s) == len(press.signals.wrench_t_s)
+
+
+def test_rejected_presses_are_used_only_where_they_were_to_slip_or_to_slide(tmp_path):
+    press, slipped = made_press(), "The piece slipped by 0.80 mm in the grasp"
+    cases = (
+        ("contact", (slipped,)), ("contact", (DRAGGED,)), ("contact", (slipped, DRAGGED)),
+        ("contact", (DRAGGED, "No contact: 0.10 N at the end of the press")), ("gel", (DRAGGED,)),
+    )  # fmt: skip
+    with Dataset.open(tmp_path / "ds", person="ann") as dataset:
+        pair = dataset.geometry.store_pair(LIBRARY.piece("pot"), LIBRARY.piece("square15"))
+        for number, (stage, reasons) in enumerate(cases):
+            context = EpisodeContext("s", "square15", pair, "ann", "g", "m", bench={"stage": stage})
+            quality = EpisodeQuality(False, reasons, 0, 0.0, 0, 0.0, 0.0)
+            seen = np.full((20, 258), number, np.float32)
+            episode = Episode(
+                f"{number}", "pot", seen, np.zeros(2), ONSET_S, quality, press.signals
+            )
+            dataset.record(episode, Label(1000, 2000), source="measured", context=context)
+        assert len(read_recordings(dataset).of_stage("contact")) == 3
+        assert read_recordings(dataset).of_stage("gel") == []
 
 
 def test_signals_count_from_the_air_before_contact():

@@ -19,7 +19,7 @@ from touchdown.backend.experiments import identification_report as report
 from touchdown.backend.experiments.document import SIMULATED, check_svg, report_page
 from touchdown.backend.experiments.results import read_report
 from touchdown.backend.geometry import load_pieces
-from touchdown.backend.identification import read_recordings, sensors
+from touchdown.backend.identification import read_recordings, sensors, stages
 from touchdown.backend.identification.estimates import estimate, mean_estimate, spread_estimate
 from touchdown.backend.identification.fitting import ChannelNoise, FitResult, GlsFit, Layout
 from touchdown.backend.identification.identify import (
@@ -878,6 +878,31 @@ def test_an_uncertain_parameter_names_its_own_recording(tmp_path, monkeypatch, p
     needed = dict(found.missing)["wrist.drift_n_sqrt_min"]
     assert needed.startswith("more of `collect --plan rest`: its uncertainty is 173%")
     assert [one.stage for one in found.charts] == [2, 3]
+
+
+def test_presses_that_drag_give_the_friction_of_the_faces_and_others_that_of_the_pads(
+    tmp_path, monkeypatch, presses
+):
+    def run(self, start, evaluations=8):
+        nothing = np.zeros((len(start), len(start)))
+        return FitResult(start, nothing, np.full(len(start), 0.01), 1.0, 1.0, 0.1)
+
+    def friction(some, *_):
+        return {"mu": np.where(dragged(some), 0.3, 0.7).tolist(), "sigma": [0.01] * len(some)}
+
+    monkeypatch.setattr(GlsFit, "run", run)
+    monkeypatch.setattr(stages, "fit_friction", friction)
+    drag = made_press().signals.pose_mm + np.linspace(0.0, 0.9, 240)[:, None] * (0.0, 1.0, 0.0)
+    slips = [made_press(k, stage="contact") for k in range(2)]
+    slides = [made_press(k, stage="contact", pose_mm=drag) for k in range(3)]
+    recordings = Recordings((*presses, *slips, *slides), None, ("inputs",))
+    found = identify_bench(recordings, NOMINAL, LIBRARY, tmp_path / "stages")
+    (face, spread) = [e for e in found.estimates if e.stage == 4]
+    assert (face.key, face.value, spread.key) == ("mu", pytest.approx(0.3), "spread.mu")
+    missing = dict(found.missing)
+    assert missing["mu_grip, spread.mu_grip"] == "`collect --plan contact`: 2 of 2 presses slipped"
+    assert "mu, spread.mu" not in missing
+    assert "record `touchdown collect --plan contact`" in found.verdict(4)
 
 
 def test_the_stored_report_is_read_again(tmp_path):

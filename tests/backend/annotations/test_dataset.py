@@ -209,7 +209,7 @@ def verified(folder):
         return {Path(error.where).name}
 
 
-DAMAGES = 200
+DAMAGES = 100
 
 
 def test_each_damage_is_found_by_every_verification(folder):

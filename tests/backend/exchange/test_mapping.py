@@ -414,7 +414,7 @@ def write_presses(path: Path, number: int) -> None:
         return moved.ravel().tolist()
 
     span_s = PRESSES * PERIOD_S
-    sent = [(t_s, "/signals", signals(t_s)) for t_s in np.arange(0.0, span_s, 0.005)]
+    sent = [(t_s, "/signals", signals(t_s)) for t_s in np.arange(0.0, span_s, 0.008)]
     sent += [(t_s, name, markers(t_s)) for name in ("/left", "/right")
              for t_s in np.arange(0.01, span_s, 0.04)]  # fmt: skip
     sent += [(t_s, "/grip", [2.0 * number + k]) for k, t_s in enumerate((0.5, 8.5))]
@@ -440,20 +440,24 @@ def days(tmp_path_factory):
 
 def test_presses_of_named_grips_and_mountings_can_be_identified(tmp_path, days, capsys):
     words = ["import", "mcap", str(days), "--piece", "pot", "--bottom", "square15", "--map"]
-    for name, grips in (
-        ("unknown", ""), ("named", '[grips]\ngrip = "recording"\nmounting = "folder"\n'),
-    ):  # fmt: skip
-        path = tmp_path / f"{name}.toml"
+    said = []
+    for name, source, grips in (
+        ("unknown", days / "monday/0.mcap", ""),
+        ("named", days, '[grips]\ngrip = "recording"\nmounting = "folder"\n'),
+    ):
+        path, words[2] = tmp_path / f"{name}.toml", str(source)
         path.write_text(GRIPPED + grips)
         assert main([*words, str(path), "--dataset", str(tmp_path / name)]) == 0
-    unknown, named = capsys.readouterr().out.split("Episodes found: 24, present already: 0.")[1:]
+        said.append(capsys.readouterr().out)
+    unknown, named = said
+    assert "Episodes found: 24, present already: 0." in named
     assert "unknown counts as one for the whole import ([grips])" in unknown
     assert "Grips: 6; mountings: monday, tuesday." in named
     with Dataset.open(tmp_path / "unknown", write=False) as dataset:
         presses = read_recordings(dataset).presses
         assert {one.grip for one in presses} == {f"{dataset.episodes()[0].series}/unknown"}
         with pytest.raises(InputError, match="1 grippings") as refused:
-            refuse_unusable(presses, load_pieces(), "here")
+            refuse_unusable(6 * presses, load_pieces(), "here")
     assert "[grips] of the mapping" in refused.value.fix
     with Dataset.open(tmp_path / "named", write=False) as dataset:
         found = read_recordings(dataset)

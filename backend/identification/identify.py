@@ -194,11 +194,16 @@ def identify_bench(
             missing.append((", ".join(identifiable(plan)), f"`{plan}`{count}"))
     gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
     absent = NOT_IMPORTED if any(press.imported for press in presses.recordings) else {}
+    pitch = nominal.tactile.pitch_mm
+    decays = store.get(
+        "decays", lambda: {"of": [asdict(e) for e in stages.finger_decays(mechanics, pitch)]}
+    )
     estimated = (
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),
         *delayed, *sensors.arm_compliance(gel[:40]), *stages.mechanics_estimates(mechanics),
-        stages.dilation_estimate(mechanics.presses, mechanics, nominal.tactile.pitch_mm), *slipped,
+        stages.dilation_estimate(mechanics.presses, mechanics, pitch), *slipped,
+        *(Estimate(**one) for one in decays["of"]),
     )  # fmt: skip
     estimates = tuple(one for one in estimated if one.key not in ", ".join(absent).split(", "))
     names, correlation = stages.correlations(mechanics)

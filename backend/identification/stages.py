@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.backend.config import SAMPLES_PER_PROBE, TICK_S, SimulationSettings, bench_sha256
-from touchdown.backend.core import FloatArray, InputError, parse_json, write_atomically
+from touchdown.backend.core import FINGERS, FloatArray, InputError, parse_json, write_atomically
 from touchdown.backend.geometry import PieceLibrary
 from touchdown.backend.identification.estimates import (
     Estimate,
@@ -298,6 +298,19 @@ def mechanics_estimates(found: Mechanics) -> list[Estimate]:
         spread_estimate(seat, heights - heights.mean(), np.full(1, 0.03), grips - 1),
         spread_estimate("arm.repeatability_mm", within, np.zeros(1), len(within) - grips),
     ]
+    return result
+
+
+def finger_decays(found: Mechanics, pitch_mm: float) -> list[Estimate]:
+    """Return the decay of the marker field along x and z of each gel by itself."""
+    result = []
+    for k, finger in enumerate(FINGERS):
+        own = found.presses.seen & (np.arange(2) == k)[:, None]
+        begin = (float(found.roll_off_mm[0]), float(found.roll_off_mm[1]))
+        values, cov = fit_roll_off(replace(found.presses, seen=own), pitch_mm, begin)
+        sigma = np.hypot(np.sqrt(np.diag(cov)), 0.003 * values)
+        result += [estimate(f"decay.{finger}.{axis}", value, error)
+                   for axis, value, error in zip("xz", values, sigma, strict=True)]  # fmt: skip
     return result
 
 

@@ -67,6 +67,7 @@ from touchdown.backend.identification.stages import (
     StageStore,
     dilation_estimate,
     dragged,
+    finger_decays,
     fit_friction,
     fit_mechanics,
     friction_estimates,
@@ -527,6 +528,27 @@ def test_growth_with_the_pad_force_follows_from_the_lateral_force():
     found = dilation_estimate(made, mechanics, 1.9)
     assert found.value == pytest.approx(0.03, rel=0.05)
     assert found.low < 0.03 < found.high
+
+
+def test_the_decay_of_each_gel_is_found_by_itself():
+    rng, rolls = np.random.default_rng(6), ((7.0, 6.0), (8.5, 5.0))
+    made = made_set(np.zeros((12, 2)), RAMP * (0.0, 0.0, -1.0), grips=np.arange(12) // 2)
+    strain = np.array([[0.3, 1.0, 0.02], [0.3, 0.9, -0.02]]) * rng.uniform(0.8, 1.2, (12, 1, 1))
+    gels = [build_gel((0.058, 0.062), 1.9, roll, 0.0) for roll in rolls]
+    left, right = (gel.displacement_px(strain, np.full((12, 2), 10.0), np.full(12, 10.0))
+                   for gel in gels)  # fmt: skip
+    field = np.stack([left[:, 0], right[:, 1]], axis=1)[:, None]
+    made = replace(made, field_px=field + 0.05 * rng.standard_normal((12, 20, 2, 63, 2)))
+    layout = Layout(unknowns_of(NOMINAL), made.mounting, made.grip)
+    x = np.zeros(layout.size)
+    fit = FitResult(x, np.zeros((len(x), len(x))), x, 1.0, 1.0, 0.1)
+    found = Mechanics(made, layout, fit, np.full(2, 6.5), np.zeros((2, 2)), converged=True)
+    decays = finger_decays(found, 1.9)
+    assert [e.key for e in decays] == [f"decay.{f}.{a}" for f in ("left", "right") for a in "xz"]
+    assert {e.stage for e in decays} == {3}
+    for one, true in zip(decays, np.ravel(rolls), strict=True):
+        assert one.value == pytest.approx(true, rel=0.02)
+        assert one.low < true < one.high
 
 
 def test_whole_grippings_are_held_out_from_every_mounting():

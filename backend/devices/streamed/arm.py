@@ -154,7 +154,7 @@ class PressProgram:
         self._speed_mm_s = 0.0
         self._start_z_mm: float | None = None
         self._way: list[tuple[float, float]] = []
-        self._zero_mm = self._y_mm = self._share = 0.0
+        self._zero_mm = self._share = 0.0
         self._rise_to_mm: float | None = None
         self.stiffness = ContactStiffnessEstimate(loop.delay_s)
         self.compliance: Compliance | None = None
@@ -205,7 +205,6 @@ class PressProgram:
         # The arm was at the command of one loop delay earlier, less the sensor's delay.
         lag_s = self._loop.arm_lag_s + self._loop.cycle_s
         self._zero_mm = float(np.interp(onset_s - lag_s, t_s, z_mm))
-        self._y_mm = float(felt.command_mm[1])
         self.compliance = Compliance(
             self._law, self._loop, felt.command_mm, self._air.start_n, self._air.moved_n(onset_s)
         )
@@ -235,11 +234,12 @@ class PressProgram:
         assert onset_s is not None
         elapsed_s = felt.now_s + felt.cycle_s - onset_s
         if not self.motion.done:
-            gained = min(1.0, elapsed_s / command.ramp_s) - self._share
-            self._share += comply.speed_share * max(gained, 0.0)
+            left = min(1.0, elapsed_s / command.ramp_s) - self._share
+            gained = comply.speed_share * max(left, 0.0)
+            self._share += gained
             z_mm = self._zero_mm - self._share * command.depth_mm
             comply.reference_mm[2] = min(float(comply.reference_mm[2]), z_mm)
-            comply.reference_mm[1] = self._y_mm + self._share * command.drag_mm
+            comply.reference_mm[1] += gained * command.drag_mm
         if elapsed_s >= command.hold_s:
             self.motion.end()
 

@@ -84,7 +84,7 @@ def bench_within(
 
 
 MAX_FIGURES = 10_000_000  # bytes
-RANGES_FIX = "Name the .json file that 'touchdown identify' wrote beside the bench file."
+RANGES_FIX = "Name the .json file that the identification wrote beside the bench file."
 
 
 def read_ranges(path: Path) -> dict[str, list[float]]:

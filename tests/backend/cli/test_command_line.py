@@ -31,7 +31,6 @@ from touchdown.backend.cli.command_line import VERBS, main
 from touchdown.backend.cli.doctor import command
 from touchdown.backend.cli.doctor.command import check_catalogue
 from touchdown.backend.cli.output import VerbOutput
-from touchdown.backend.config import load_simulation
 from touchdown.backend.core import program_version
 from touchdown.backend.core.events import CampaignBegan, ProbeCollected, RunStarted
 from touchdown.backend.core.faults import (
@@ -895,28 +894,7 @@ def test_the_installed_program_is_the_one_that_ctrl_c_ends_silently() -> None:
 def test_ranges_that_cannot_be_drawn_from_are_one_error(bounds, tmp_path, capsys) -> None:
     ranges = tmp_path / "ranges.json"
     ranges.write_text(f'{{"randomisation": {{"grasp.shear_n_mm": {bounds}}}}}', "utf-8")
-    arguments = ["--ranges", str(ranges), "--steps", "0", "--out", str(tmp_path / "out")]
-    assert main(["experiment", "fused", *arguments]) == 2
-    assert "This file has no ranges." in capsys.readouterr().err
-    assert main(["simulate", *arguments[:2], *arguments[-2:]]) == 2
-    assert "This file has no ranges." in capsys.readouterr().err
+    for verb in (["experiment", "fused"], ["simulate"]):
+        assert main([*verb, "--ranges", str(ranges), "--out", str(tmp_path / "out")]) == 2
+        assert "This file has no ranges." in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_jobs_of_simulate_draw_their_bench_within_the_ranges_but_the_first(
-    monkeypatch, tmp_path
-) -> None:
-    ranges, given = tmp_path / "lab-bench.json", []
-    ranges.write_text('{"randomisation": {"grasp.shear_n_mm": [3.0, 5.0]}}', "utf-8")
-    monkeypatch.setattr(simulate, "run_jobs", lambda *args: given.extend(args[4]) or 0)
-    words = ["simulate", "--bottoms", "circle15,square15", "--episodes", "3000", "--seed", "4"]
-    main([*words, "--ranges", str(ranges), "--out", str(tmp_path / "out")])
-    own = load_simulation().grasp.shear_n_mm
-    for bottom in ("circle15", "square15"):
-        jobs = [job.params for job in given if job.params["bottom"] == bottom]
-        assert sum(job["probes"] for job in jobs) == 3000
-        first, *others = [job["bench"]["grasp"]["shear_n_mm"] for job in jobs]
-        assert first == own
-        assert len(set(others)) == len(others) == 2
-        assert all(3.0 <= one <= 5.0 for one in others)
-    assert len({job.params["bench"]["grasp"]["shear_n_mm"] for job in given}) == 5

@@ -23,6 +23,8 @@ from tests.rule_study import (
     record_trials,
     threshold_jobs,
 )
+from touchdown.backend.cli import simulate
+from touchdown.backend.cli.command_line import main
 from touchdown.backend.config.method import FusedSettings, StackSettings
 from touchdown.backend.config.simulation import SimulationSettings, load_simulation, settings_with
 from touchdown.backend.core import CHANNELS, TACTILE_CHANNELS, ContactPatch, InputError, disk_errors
@@ -696,3 +698,22 @@ def test_the_oracle_counts_on_the_errors_of_bench_v2_that_no_probe_shows() -> No
     # 0.6 mm less on average (the length of a normal pair) and 2.33 standard deviations.
     assert risks[1] == pytest.approx(10.0, abs=0.05)
     assert risks[1] - 3.0 < risks[0] < risks[1] - 1.5
+
+
+def test_jobs_of_simulate_draw_their_bench_within_the_ranges_but_the_first(
+    monkeypatch, tmp_path
+) -> None:
+    ranges, given = tmp_path / "lab-bench.json", []
+    ranges.write_text('{"randomisation": {"grasp.shear_n_mm": [3.0, 5.0]}}', "utf-8")
+    monkeypatch.setattr(simulate, "run_jobs", lambda *args: given.extend(args[4]) or 0)
+    words = ["simulate", "--bottoms", "circle15,square15", "--episodes", "3000", "--seed", "4"]
+    main([*words, "--ranges", str(ranges), "--out", str(tmp_path / "out")])
+    own = load_simulation().grasp.shear_n_mm
+    for bottom in ("circle15", "square15"):
+        jobs = [job.params for job in given if job.params["bottom"] == bottom]
+        assert sum(job["probes"] for job in jobs) == 3000
+        first, *others = [job["bench"]["grasp"]["shear_n_mm"] for job in jobs]
+        assert first == own
+        assert len(set(others)) == len(others) == 2
+        assert all(3.0 <= one <= 5.0 for one in others)
+    assert len({job.params["bench"]["grasp"]["shear_n_mm"] for job in given}) == 5

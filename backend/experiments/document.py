@@ -281,7 +281,7 @@ def curves_chart(
     axis = f'<path d="{ways}" stroke="{FAINT}" fill="none"/>'
     ends = [10.0**v if log else v for v in (across[0], across[-1], low, high)]
     spans = [
-        f"{letter}: {a:.2g} to {b:.2g} {unit}"
+        f"{letter}: {a:.3g} to {b:.3g} {unit}"
         for letter, a, b, unit in zip("xy", ends[::2], ends[1::2], units, strict=True)
     ]
     note = _text(SIDE / 2, SIDE - 20, spans[0]) + _text(SIDE / 2, SIDE - 7, spans[1])

@@ -222,10 +222,14 @@ QUANTITIES = {"iou": "IoU", "balanced_stability": "balanced stability", "success
 
 @figure("identification")
 def learning_curves_of_laboratories() -> list[Figure]:
-    """State the learning curves in docs/results, which ``main`` adds."""
+    """State and draw the learning curves in docs/results, which ``main`` adds."""
     of = stored_results(CURVES)
     if not of:
         raise InputError("There is no result.", CURVES, "Run --curves first.")
+    for name, title in QUANTITIES.items():
+        labels = np.array(CURVE_LABELS, float)
+        drawn = curves_chart(title, labels, mean_curves(of, name), ("labelled probes", ""))
+        write_atomically(DATA.parent / f"learning-curves-{name}.svg", drawn.encode())
     own = np.mean([row["success"] for one in of for row in one["rows"] if row["arm"] == OWN])
     figures = [stated(f"learning curves ({len(of)}): success on the own bench", 100 * own, "%")]
     for quantity, title in {**QUANTITIES, "unsafe": "unsafe of released"}.items():
@@ -373,10 +377,6 @@ def main() -> int:
     for seed in args.curves:
         of = with_result(CURVES, learning_curves(seed, args.out))
         save_result(CURVES, {"of": of})
-        for name, title in QUANTITIES.items():
-            labels = np.array(CURVE_LABELS, float)
-            drawn = curves_chart(title, labels, mean_curves(of, name), ("labelled probes", ""))
-            write_atomically(DATA.parent / f"learning-curves-{name}.svg", drawn.encode())
     for seed in args.active:
         save_result(ACTIVE, {"of": with_result(ACTIVE, active_labelling(seed, args.out))})
     return 0

@@ -238,8 +238,7 @@ class PressCommand:
         for field in fields(self):
             value = getattr(self, field.name)
             numbers = value if isinstance(value, tuple) else (value,)
-            drags = field.name == "drag_mm"
-            low, high = (-MOST_DRAG_MM, MOST_DRAG_MM) if drags else (0.0, SENSIBLE)
+            low, high = {"drag_mm": (-MOST_DRAG_MM, MOST_DRAG_MM)}.get(field.name, (0.0, SENSIBLE))
             if not all(low <= number <= high for number in numbers):
                 raise ValueError(f"{field.name} of a press is out of range: {value}")
 

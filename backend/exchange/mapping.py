@@ -47,6 +47,7 @@ GROUPS = ("unknown", "recording", "folder")  # one for the import, or for each o
 # Rest positions for a marker array that holds displacements only.
 NOMINAL_PX = 32.0 * np.stack(np.divmod(np.arange(MARKERS), GRID_COLS)[::-1], -1) + (32.0, 24.0)
 
+LEAST_LIKENESS = 0.9  # correlation of rest positions with these
 MappingChange = tuple[str, str, Any]  # signal, field and value
 VALUE = r"""("[^"]*"|'[^']*'|\[[^\]]*\]|[^\s#]+)"""  # of TOML, on one line
 Samples = Iterable[tuple[int, NDArray[Any]]]  # time stamps in ns, with numbers or a BGR picture
@@ -155,6 +156,11 @@ class TactileSource(SignalSource):
         found = np.stack([-moved.real if self.mirror else moved.real, moved.imag], axis=-1)
         if self.kind == "displacements":
             return np.asarray(found + NOMINAL_PX)
+        with np.errstate(invalid="ignore"):
+            likeness = [np.corrcoef(found[0, :, k], NOMINAL_PX[:, k])[0, 1] for k in range(2)]
+        if not np.abs(likeness).min() > LEAST_LIKENESS:
+            what = f"The markers of '{self.source}' do not begin on a grid of 7 by 9."
+            raise InputError(what, self.source, "Correct 'kind', 'first', 'order' or 'turn_deg'.")
         return np.asarray(found - found[0].mean(axis=0) + np.divide((WIDTH_PX, HEIGHT_PX), 2.0))
 
 

@@ -83,14 +83,13 @@ def bench_within(
     return settings_with(bench, drawn) if drawn else bench
 
 
-MAX_FIGURES = 10_000_000  # bytes
 RANGES_FIX = "Name the .json file that the identification wrote beside the bench file."
 
 
 def read_ranges(path: Path) -> dict[str, list[float]]:
     """Return the ranges in the figures of an identification; raises ``InputError``."""
     try:
-        found = json.loads(read_limited(path, MAX_FIGURES, RANGES_FIX))["randomisation"]
+        found = json.loads(read_limited(path, 10_000_000, RANGES_FIX))["randomisation"]
         ranges = {str(key): [float(low), float(high)] for key, (low, high) in found.items()}
         if not all(0.0 <= high - low < math.inf for low, high in ranges.values()):
             raise ValueError

@@ -16,9 +16,8 @@ from scipy.stats import t as student_t
 from touchdown.backend.config import read_toml
 from touchdown.backend.core import FloatArray
 
-REST, GEL, CONTACT, DRAG = PLANS = tuple(
-    f"collect --plan {plan}" for plan in ("rest", "gel", "contact", "drag")
-)
+PLANS = tuple(f"collect --plan {plan}" for plan in ("rest", "gel", "contact", "drag"))
+REST, GEL, CONTACT, DRAG = PLANS
 _LISTS = read_toml(Path(str(files("touchdown.resources"))) / "identification.toml")
 # Key: unit, stage, recording, prior range, name
 PARAMETERS: dict[str, tuple[str, int, str, float, float, str]] = {

@@ -195,9 +195,7 @@ def identify_bench(
     gate = stages.replay_gate(held, mechanics, nominal, library, drifts)
     absent = NOT_IMPORTED if any(press.imported for press in presses.recordings) else {}
     pitch = nominal.tactile.pitch_mm
-    decays = store.get(
-        "decays", lambda: {"of": [asdict(e) for e in stages.finger_decays(mechanics, pitch)]}
-    )
+    decays = store.get("decays", partial(stages.finger_decays, mechanics, pitch))
     estimated = (
         *rest.estimates,
         *sensors.identify_air(presses, float(drifts[2]), rest=bool(rest.estimates)),

@@ -301,17 +301,17 @@ def mechanics_estimates(found: Mechanics) -> list[Estimate]:
     return result
 
 
-def finger_decays(found: Mechanics, pitch_mm: float) -> list[Estimate]:
-    """Return the decay of the marker field along x and z of each gel by itself."""
+def finger_decays(found: Mechanics, pitch_mm: float) -> Json:
+    """Return the decay of the marker field along x and z of each gel: estimates ``of`` fields."""
     result = []
     for k, finger in enumerate(FINGERS):
         own = found.presses.seen & (np.arange(2) == k)[:, None]
         begin = (float(found.roll_off_mm[0]), float(found.roll_off_mm[1]))
         values, cov = fit_roll_off(replace(found.presses, seen=own), pitch_mm, begin)
         sigma = np.hypot(np.sqrt(np.diag(cov)), 0.003 * values)
-        result += [estimate(f"decay.{finger}.{axis}", value, error)
+        result += [asdict(estimate(f"decay.{finger}.{axis}", value, error))
                    for axis, value, error in zip("xz", values, sigma, strict=True)]  # fmt: skip
-    return result
+    return {"of": result}
 
 
 def dilation_estimate(presses: PressSet, found: Mechanics, pitch_mm: float) -> Estimate:

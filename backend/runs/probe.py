@@ -113,8 +113,9 @@ def _press(
     )
     if drag_mm:
         reasons = (*episode.quality.reasons, DRAGGED)
-        quality = replace(episode.quality, accepted=False, reasons=reasons)
-        episode = replace(episode, quality=quality)
+        episode = replace(
+            episode, quality=replace(episode.quality, accepted=False, reasons=reasons)
+        )
     return PressedProbe(episode, probe, end_s, sampled_s)
 
 

@@ -181,8 +181,7 @@ class ForceProgram:
     def refuse(self, command: PressCommand) -> None:
         """Raise ``RefusedError`` for a press that drags or could exceed the limit of a probe."""
         if command.drag_mm:
-            what = "The force program of the controller presses straight down only."
-            raise core.RefusedError("PRESS-DRAGS", what)
+            raise core.RefusedError("PRESS-DRAGS", "The force program presses straight down only.")
         most_n, limit_n = command.nominal_n, self._settings.probe_force_limit_n
         if not most_n <= limit_n:
             raise core.RefusedError(

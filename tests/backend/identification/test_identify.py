@@ -802,7 +802,7 @@ def test_errors_after_the_tare_of_an_import_are_named_not_measured(tmp_path, mon
         "fit_mechanics": mechanics,
         "mechanics_estimates": [estimate("grasp.shear_n_mm", 5.0, 0.2)],
         "dilation_estimate": estimate("tactile.dilation", 0.02, 1e-3),
-        "finger_decays": [],
+        "finger_decays": {"of": []},
         "replay_gate": made_identification(0.3).gate,
         "correlations": (("shear",), np.ones((1, 1))),
     }.items():

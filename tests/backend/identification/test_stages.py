@@ -15,6 +15,7 @@ from tests.backend.identification.test_identify import (
 )
 from touchdown.backend.config import ProbeSettings
 from touchdown.backend.core import InputError
+from touchdown.backend.identification import Estimate
 from touchdown.backend.identification.fitting import FitResult, Layout
 from touchdown.backend.identification.press_model import PressModel, field_basis, unknowns_of
 from touchdown.backend.identification.stages import (
@@ -66,7 +67,7 @@ def test_the_decay_of_each_gel_is_found_by_itself():
     x = np.zeros(layout.size)
     fit = FitResult(x, np.zeros((len(x), len(x))), x, 1.0, 1.0, 0.1)
     found = Mechanics(made, layout, fit, np.full(2, 6.5), np.zeros((2, 2)), converged=True)
-    decays = finger_decays(found, 1.9)
+    decays = [Estimate(**one) for one in finger_decays(found, 1.9)["of"]]
     assert [e.key for e in decays] == [f"decay.{f}.{a}" for f in ("left", "right") for a in "xz"]
     assert {e.stage for e in decays} == {3}
     for one, true in zip(decays, np.ravel(rolls), strict=True):

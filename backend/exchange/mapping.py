@@ -158,7 +158,7 @@ class TactileSource(SignalSource):
             return np.asarray(found + NOMINAL_PX)
         with np.errstate(invalid="ignore"):
             likeness = [np.corrcoef(found[0, :, k], NOMINAL_PX[:, k])[0, 1] for k in range(2)]
-        if not np.abs(likeness).min() > LEAST_LIKENESS:
+        if not np.min(likeness) > LEAST_LIKENESS:
             what = f"The markers of '{self.source}' do not begin on a grid of 7 by 9."
             raise InputError(what, self.source, "Correct 'kind', 'first', 'order' or 'turn_deg'.")
         return np.asarray(found - found[0].mean(axis=0) + np.divide((WIDTH_PX, HEIGHT_PX), 2.0))

@@ -280,6 +280,9 @@ def test_numbers_that_are_no_positions_of_a_grid_are_refused(changes, named):
     with pytest.raises(InputError, match=named) if named else nullcontext():
         found = source.converted([row])
         np.testing.assert_allclose(found - found.mean(axis=1), [at - at.mean(axis=0)], atol=1e-9)
+    backwards = np.r_[7.0, 9.0, at[::-1].T.ravel(), np.zeros(126)]
+    with pytest.raises(InputError, match="do not begin on a grid"):
+        source.converted([backwards])
 
 
 def test_a_mapping_is_proposed_from_the_signals_of_a_bag(tmp_path, capsys):

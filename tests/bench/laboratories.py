@@ -137,12 +137,13 @@ def opened(bench: SimulationSettings, *, drivers: bool) -> Iterator[Session]:
 
 
 def record_laboratory(
-    bench: SimulationSettings, folder: Path, seed: int, *, drivers: bool = False
-) -> None:
+    bench: SimulationSettings, folder: Path, seed: int, *, drivers: bool = False,
+    gel: tuple[int, int, int] = GEL,
+) -> None:  # fmt: skip
     """Record the plans of an identification, shortened; continue a campaign that a fault ended."""
     numbers = "count", "probes_per_grip", "grips_per_mounting"
     plans: tuple[dict[str, Any], ...] = (
-        {**dict(zip(numbers, GEL, strict=True)), "stage": "gel", "ramp_fraction": 0.4},
+        {**dict(zip(numbers, gel, strict=True)), "stage": "gel", "ramp_fraction": 0.4},
         {"count": 1, "probes_per_grip": 1, "stage": "rest",
          "rest_s": REST_DRIVERS_S if drivers else REST_S},
         {**dict(zip(numbers, CONTACT, strict=True)), "stage": "contact", "within_mm": 2.0,
@@ -181,13 +182,15 @@ def judge(estimates: Mapping[str, Any], truth: Mapping[str, float]) -> dict[str,
     }  # fmt: skip
 
 
-def recorded_laboratory(seed: int, folder: Path, *, drivers: bool = False) -> Recordings:
+def recorded_laboratory(
+    seed: int, folder: Path, *, drivers: bool = False, gel: tuple[int, int, int] = GEL
+) -> Recordings:
     """Return the recordings of a laboratory; record it if ``folder`` does not hold it whole."""
     done = folder / "recorded"
     if not done.is_file():
         shutil.rmtree(folder, ignore_errors=True)
         bench, _ = draw_laboratory(seed, drivers=drivers)
-        record_laboratory(bench, folder / "dataset", seed, drivers=drivers)
+        record_laboratory(bench, folder / "dataset", seed, drivers=drivers, gel=gel)
         done.touch()
     with Dataset.open(folder / "dataset", write=False) as dataset:
         return read_recordings(dataset)
@@ -266,7 +269,7 @@ def summary(results: list[dict[str, Any]], *, drivers: bool = False) -> dict[str
 FOLDER = Path("output/laboratories")
 # Files in docs/results
 HIDDEN, THROUGH_DRIVERS = "hidden-laboratories", "laboratory-drivers"
-LOSSES, COMES_BACK = "laboratory-losses", "comes-back"
+LOSSES, COMES_BACK, CERTIFICATES = "laboratory-losses", "comes-back", "laboratory-certificates"
 MANY = 300  # presses
 LOST = 10.0  # points of success; less is no loss that could come back
 
@@ -367,24 +370,17 @@ def interval_by_laboratory(part: list[dict[str, Any]]) -> NDArray[np.float64]:
 
 @figure("identification")
 def identification_time() -> list[Figure]:
-    """Identify a bench from ``MANY`` presses: those of a laboratory, each several times."""
-    recordings = recorded_laboratory(0, FOLDER / "time")
-    gel = [press for press in recordings.presses if press.stage == "gel"]
-    copies = -(-MANY // len(gel))
-    many = tuple(
-        replace(press, grip=f"{press.grip}-{copy % 3}", uuid=f"{press.uuid}-{copy}")
-        for copy in range(copies)
-        for press in gel
-    )[:MANY]
-    slipped = tuple(press for press in recordings.presses if press.stage == "contact")
-    stages = FOLDER / "time-stages"
-    shutil.rmtree(stages, ignore_errors=True)
+    """Identify a bench from ``MANY`` recorded presses; reading the dataset counts."""
+    folder = FOLDER / "time"
+    recorded_laboratory(0, folder, gel=(MANY, *GEL[1:]))
+    shutil.rmtree(folder / "stages", ignore_errors=True)
     began_cpu = time.process_time()
-    identify_bench(
-        replace(recordings, presses=(*many, *slipped)), load_simulation(), load_pieces(), stages
-    )
+    with Dataset.open(folder / "dataset", write=False) as dataset:
+        recordings = read_recordings(dataset)
+    reading = (time.process_time() - began_cpu) / 60.0
+    found = identify_bench(recordings, load_simulation(), load_pieces(), folder / "stages")
     minutes = (time.process_time() - began_cpu) / 60.0
-    note = f"{len(gel)} recorded presses, {copies} times; without reading the dataset"
+    note = f"{found.presses} presses of {found.grips} grips; reading them {reading:.1f} min"
     return [at_most(f"identify, {MANY} presses, one core", minutes, "min", 20.0, note)]
 
 
@@ -548,12 +544,7 @@ def comes_back(place: str, out: Path, trials: int | None = None) -> dict[str, An
         how, world = HIDDEN_ADAPTATION, "bench"
         how = replace(how, trials=trials or how.trials)
         there, _ = draw_laboratory(int(place), drivers=True)
-        # From recordings through the drivers if there are some
-        names = f"laboratory-{place}-drivers.json", f"laboratory-{place}.json"
-        file = next(out / name for name in names if (out / name).is_file())
-        known = json.loads(file.read_text())
-        write_bench(bench, known["bench"])
-        bench.with_suffix(".json").write_text(json.dumps({"randomisation": known["ranges"]}))
+        known = write_identified(place, out, bench)
         facts = {key: known[key] for key in ("accepted", "share", "misfit")}
     times["identify"] = time.process_time() - began_s
     network = adapted(how, bench, folder, labels)
@@ -569,6 +560,63 @@ def comes_back(place: str, out: Path, trials: int | None = None) -> dict[str, An
         "seed": place, "network": how.network, "pieces": list(how.pieces), "labels": how.labels,
         "identified": facts, **recovered(*before, after), "cpu_s_at_end_of": times,
     }  # fmt: skip
+
+
+def write_identified(place: str, out: Path, bench: Path) -> dict[str, Any]:
+    """Write the identified ``bench`` of a laboratory and its ranges; return the result."""
+    # From recordings through the drivers if there are some
+    names = f"laboratory-{place}-drivers.json", f"laboratory-{place}.json"
+    file = next(out / name for name in names if (out / name).is_file())
+    known: dict[str, Any] = json.loads(file.read_text())
+    write_bench(bench, known["bench"])
+    bench.with_suffix(".json").write_text(json.dumps({"randomisation": known["ranges"]}))
+    return known
+
+
+RISK, CERTIFIED_TRIALS = 0.02, 50  # accepted, as that of the shipped certificate; of each pair
+
+
+def certified(seed: int, out: Path) -> dict[str, Any]:
+    """Make the certificate again for networks adapted to a laboratory, on its identified bench.
+
+    Then count the trials in the laboratory itself, with the settings of the certificate.
+    """
+    folder = out / f"certified-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    bench = folder / "bench.toml"
+    write_identified(str(seed), out, bench)
+    how = replace(HIDDEN_ADAPTATION, rule=f":fused.risk={RISK}", trials=CERTIFIED_TRIALS)
+    network = folder / "fused.safetensors"
+    if not network.is_file():
+        adapted(how, bench, folder, None)
+    words = ["experiment", "certify", "--model", network, "--bench", bench, "--level", RISK,
+             "--executor", "local", "--out", folder / "certify", "--json"]  # fmt: skip
+    with redirect_stdout(io.StringIO()):
+        assert command_line(list(map(str, words))) == 0
+    (counts,) = json.loads((folder / "certify/certify.json").read_text())["attempt"]["counts"]
+    use_one_thread()
+    there, _ = draw_laboratory(seed, drivers=True)
+    trials = Counter(outcomes(how, there, str(network)))
+    return {"seed": seed, "certificate": counts, "laboratory": dict(trials)}
+
+
+@figure("identification")
+def certificate_of_laboratory() -> list[Figure]:
+    """Judge the certificates in docs/results, which ``main`` adds."""
+    figures = []
+    for one in stored_results(CERTIFICATES):
+        counts, ends = one["certificate"], Counter(one["laboratory"])
+        released = ends["placed"] + ends["fell"]
+        name = f"laboratory {one['seed']}, adapted networks: "
+        note = (f"{counts['unsafe']} of {counts['releases']}; placed {counts['placed']} of "
+                f"{counts['scenes']} scenes")  # fmt: skip
+        figures += [
+            at_most(f"{name}bound of unsafe releases on the identified bench",
+                    100 * counts["bound"], "%", 1.0, note),
+            stated(f"{name}unsafe of released in the laboratory itself",
+                   100 * ends["fell"] / max(released, 1), "%", str(dict(ends))),
+        ]  # fmt: skip
+    return figures
 
 
 def outcomes_before(
@@ -609,12 +657,18 @@ def main() -> int:
                         "shipped networks in the laboratories")  # fmt: skip
     parser.add_argument("--comes-back", metavar="PLACE", help="success after an adaptation to a "
                         f"laboratory, by its seed, or to {SECOND_WORLD}")  # fmt: skip
+    parser.add_argument("--certify", type=int, metavar="SEED", help="make the certificate again "
+                        "for networks that are adapted to a laboratory")  # fmt: skip
     parser.add_argument("--trials", type=int, help="of each piece and bottom for --comes-back")
     parser.add_argument("--keep", action="store_true", help="keep the recordings, 100 MB each")
     args = parser.parse_args()
     if args.comes_back is not None:
         of = with_result(COMES_BACK, comes_back(args.comes_back, args.out, args.trials))
         save_result(COMES_BACK, {"of": of})
+        return 0
+    if args.certify is not None:
+        of = with_result(CERTIFICATES, certified(args.certify, args.out))
+        save_result(CERTIFICATES, {"of": of})
         return 0
     for seed in range(args.first, args.first + args.count):
         if args.losses:

@@ -192,6 +192,8 @@ def _report(
     screen.say(told.ended.reason)
     more = f"; --resume continues with the other {left}." if left else "."
     screen.say(f"{done} of {campaign.count} probes are done{more}")
+    if campaign.recording.get("stage") == "contact":
+        screen.say(f"{len(entries)} presses are kept for identify, which needs them to slip.")
     screen.say(coverage_text(seen))
     screen.say(f"Health: {len(findings) or 'no'} findings.")
     for finding in findings[:MAX_LISTED]:

@@ -193,7 +193,7 @@ def _report(
     more = f"; --resume continues with the other {left}." if left else "."
     screen.say(f"{done} of {campaign.count} probes are done{more}")
     if campaign.recording.get("stage") == "contact":
-        screen.say(f"{len(entries)} presses are kept for identify, which needs them to slip.")
+        screen.say(f"Presses kept for identify, which needs them to slip: {len(entries)}.")
     screen.say(coverage_text(seen))
     screen.say(f"Health: {len(findings) or 'no'} findings.")
     for finding in findings[:MAX_LISTED]:

@@ -24,8 +24,8 @@ PATTERNS = (
     ("adaptive", "Adaptive: fill the gaps"),
     ("rest", "Identify: at rest"),
     ("gel", "Identify: arm and gel"),
-    ("contact", "Identify: slip in the grasp"),
-    ("drag", "Identify: slide on the bottom"),
+    ("contact", "Identify: slip"),
+    ("drag", "Identify: drag"),
 )
 WIDEST_MM = 60.0
 NO_LIMIT = "any"
